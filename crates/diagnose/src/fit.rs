@@ -18,8 +18,6 @@ use plumbline_core::symmetric_eigen;
 const RANK_RATIO: f64 = 1e-11;
 /// Rows that the whole joint counts for in each of its bands, where the noise is not known.
 const POOLED_ROWS: f64 = 30.0;
-/// Largest ratio of a band's over-dispersion to that of the joint's other bands, in the weights of a fit: a standard deviation four times theirs.
-const MAX_BAND_RATIO: f64 = 16.0;
 /// Rounds of weights.
 const MAX_WEIGHT_ROUNDS: usize = 12;
 /// Change of their logarithm at which they have settled.
@@ -89,17 +87,13 @@ impl Problem<'_> {
         self.evidence.joints() * BAND_EDGES_HZ.len()
     }
 
-    /// Over-dispersion of groups, as a fit is weighted with it.
-    ///
-    /// With repeats that of a band is bounded by the other bands of its joint. The likelihood alone would give up a band of few rows, as the lowest
-    /// ones, where that helps the many rows of the others a little: its residual then exceeds that of any plain identification by far.
+    /// Over-dispersion of groups.
     ///
     /// Without repeats it is drawn towards that of the whole joint: a band of few rows could be fitted to the last bit otherwise, and
     /// then would weigh more than all others.
     fn phi(&self, rss: &[f64], count: &[f64]) -> Vec<f64> {
         if self.evidence.repeats() {
-            let joints = rss.chunks(BAND_EDGES_HZ.len()).zip(count.chunks(BAND_EDGES_HZ.len()));
-            return joints.flat_map(|(rss, count)| bounded(rss, count)).collect();
+            return rss.iter().zip(count).map(|(rss, count)| (rss / count.max(1.0)).max(1.0)).collect();
         }
         let mut phi = Vec::with_capacity(rss.len());
         for (rss, count) in rss.chunks(BAND_EDGES_HZ.len()).zip(count.chunks(BAND_EDGES_HZ.len())) {
@@ -128,7 +122,7 @@ impl Problem<'_> {
 
     /// Profile log likelihood of squared residuals, without what the prior adds.
     pub fn likelihood(&self, rss: &[f64], count: &[f64]) -> f64 {
-        let phi = if self.evidence.repeats() { own(rss, count) } else { self.phi(rss, count) };
+        let phi = self.phi(rss, count);
         let group = |((rss, count), phi): ((&f64, &f64), &f64)| count * phi.ln() + rss / phi;
         -0.5 * rss.iter().zip(count).zip(&phi).map(group).sum::<f64>()
     }
@@ -300,21 +294,6 @@ impl Problem<'_> {
         }
         errors
     }
-}
-
-/// Over-dispersion of groups by their own rows.
-fn own(rss: &[f64], count: &[f64]) -> Vec<f64> {
-    rss.iter().zip(count).map(|(rss, count)| (rss / count.max(1.0)).max(1.0)).collect()
-}
-
-/// [`own`] of one joint's bands, each at most [`MAX_BAND_RATIO`] times that of the other bands together.
-fn bounded(rss: &[f64], count: &[f64]) -> Vec<f64> {
-    let total = [rss.iter().sum::<f64>(), count.iter().sum::<f64>()];
-    let one = |(phi, (rss, count)): (f64, (&f64, &f64))| {
-        let others = (total[0] - rss) / (total[1] - count).max(1.0);
-        phi.min(MAX_BAND_RATIO * others.max(1.0))
-    };
-    own(rss, count).into_iter().zip(rss.iter().zip(count)).map(one).collect()
 }
 
 /// Inverse of a symmetric matrix after its diagonal was made one, on the directions that it determines; none where it is not finite.

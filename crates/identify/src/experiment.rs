@@ -288,7 +288,12 @@ impl Experiment {
         let mean = self.comparison_motion.as_ref().unwrap_or(&self.motion);
         let (samples, dt, periods) = (mean.samples(), mean.dt, repeats.periods.len());
         // The periods follow each other, and the last does not adjoin the first.
-        let mut own = self.comparison_differentiator.aperiodic().motion(&repeats.q, 0);
+        let differentiator = self.comparison_differentiator.aperiodic();
+        let mut own = differentiator.motion(&repeats.q, 0);
+        // The accelerations of the ends depend on what lies outside.
+        let (edge, rows) = (differentiator.edge(), repeats.counted.len());
+        repeats.counted[..edge].fill(false);
+        repeats.counted[rows - edge..].fill(false);
         for p in 0..periods {
             for (own, mean) in [(&mut own.q, &mean.q), (&mut own.dq, &mean.dq), (&mut own.ddq, &mean.ddq)] {
                 let mut part = own.rows_mut(p * samples, samples);

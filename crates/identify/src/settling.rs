@@ -11,6 +11,8 @@ const WINDOW_S: f64 = 0.1;
 const MIN_WINDOW_SAMPLES: usize = 8;
 /// Ratio to the usual mean square of a window above which the first period deviates.
 const MIN_ENERGY_RATIO: f64 = 9.0;
+/// Least mean square of a window that counts \[rad2\]: rounding of the stored positions is less.
+const MIN_ENERGY: f64 = 1e-18;
 /// Windows below that ratio after which the motion has settled.
 const SETTLED_WINDOWS: usize = 3;
 
@@ -35,7 +37,7 @@ fn settling_of(q: &[f64], left_out: &[bool], samples: usize, window: usize) -> u
     let usual = sorted[sorted.len() / 2];
     let differs = |k: usize| {
         let beside = others.iter().map(|own| own[k]).sum::<f64>() / others.len() as f64;
-        first[k] > MIN_ENERGY_RATIO * usual.max(beside)
+        first[k] > MIN_ENERGY_RATIO * usual.max(beside).max(MIN_ENERGY)
     };
     let (mut end, mut quiet) = (0, 0);
     for k in 0..first.len() {

@@ -2,7 +2,7 @@
 
 use nalgebra::{DMatrix, DVector};
 use plumbline_diagnose::errors::Of;
-use plumbline_diagnose::{Input, Outcome, Settings, Trial, diagnose};
+use plumbline_diagnose::{Input, Outcome, Settings, Trial, Verdict, diagnose};
 use plumbline_identify::solve::Options;
 use plumbline_identify::{Experiment, Run};
 use plumbline_model::term::Motion;
@@ -62,6 +62,24 @@ fn an_effect_that_unseen_runs_have_is_delivered() {
     assert_eq!(outcome.diagnosis.effects.len(), 1, "{:?}", outcome.diagnosis.effects);
     let effect = &outcome.diagnosis.effects[0];
     assert!(effect.in_model && effect.withheld.is_none() && effect.id == "torque-offset", "{effect:?}");
+}
+
+#[test]
+fn a_run_that_differs_from_the_identified_ones_is_never_nothing_significant() {
+    let scene = Scene::panda_on_the_wall();
+    let quiet = diagnosed(&scene, 2, |_, _| {});
+    assert_eq!((quiet.diagnosis.verdict, quiet.diagnosis.disagreements.len()), (Verdict::NothingSignificant, 0));
+    // Half a newton metre in joint 5 that came after the runs to identify from.
+    let outcome = diagnosed(&scene, 2, |index, run| {
+        if index == 2 {
+            run.tau.column_mut(4).add_scalar_mut(0.5);
+        }
+    });
+    let diagnosis = &outcome.diagnosis;
+    assert_eq!(diagnosis.verdict, Verdict::Unexplained);
+    let [one] = &diagnosis.disagreements[..] else { panic!("{:?}", diagnosis.disagreements) };
+    assert!(one.run == "run 2" && one.joint == 5 && (one.rms - 0.5).abs() < 0.05 && one.ratio() > 2.0, "{one:?}");
+    assert!(diagnosis.notes.iter().any(|note| note.contains("run 2 differs")), "{:?}", diagnosis.notes);
 }
 
 /// Torque of an effect along the arm's true motion, one column per joint.

@@ -121,3 +121,82 @@ fn too_few_and_too_short_periods_are_errors() {
         Err(EstimateError::Period { .. })
     ));
 }
+
+/// Torque of an inertia of 2 kg m2 in each joint.
+fn inertia(motion: &Motion) -> DMatrix<f64> {
+    2.0 * &motion.ddq
+}
+
+fn kept_periods() -> Settings {
+    Settings { keep_periods: true, ..Settings::default() }
+}
+
+#[test]
+fn a_period_is_compared_with_the_model_along_its_own_motion() {
+    // Every period swings wider than the one before, and its torque with it.
+    let mut run = run(Some(2.0), 16.0);
+    for (k, t) in run.t.clone().into_iter().enumerate() {
+        for j in 0..2 {
+            let (w, growth) = (PI * (j + 1) as f64, 5e-5);
+            let (sin, cos) = (w * t).sin_cos();
+            run.q[(k, j)] = (1.0 + growth * t) * sin;
+            run.tau[(k, j)] = 2.0 * (2.0 * growth * w * cos - w * w * run.q[(k, j)]);
+        }
+    }
+    let mut experiment = Experiment::prepare(&run, &kept_periods()).unwrap();
+    let noise = |experiment: &Experiment| experiment.scatter.as_ref().unwrap().std_of_mean(|f| f64::from(f < 16.0));
+    let before = noise(&experiment);
+    experiment.follow_own_motion(inertia);
+    let after = noise(&experiment);
+    assert!(before.iter().zip(&after).all(|(before, after)| *after < 0.1 * before), "{before:?} {after:?}");
+    // The raw samples scatter as they did.
+    assert!(experiment.scatter.unwrap().std[0] > 1e-3);
+}
+
+#[test]
+fn the_resolution_of_an_encoder_is_noise_that_repeats() {
+    const STEP: f64 = 1e-4;
+    for (dither, repeats) in [(0.0, true), (2.0 * STEP, false)] {
+        let mut run = run(Some(2.0), 16.0);
+        run.tau = DMatrix::from_fn(run.q.nrows(), 2, |k, j| -2.0 * (PI * (j + 1) as f64).powi(2) * run.q[(k, j)]);
+        // What dithers differs from sample to sample and from period to period.
+        let dithered = |k: usize| dither * (2.0 * ((k * k) as f64 * 0.618_034).fract() - 1.0);
+        run.q = DMatrix::from_fn(run.q.nrows(), 2, |k, j| ((run.q[(k, j)] + dithered(k)) / STEP).round() * STEP);
+        let mut experiment = Experiment::prepare(&run, &kept_periods()).unwrap();
+        assert!(experiment.resolution.iter().all(|step| (step / STEP - 1.0).abs() < 1e-6));
+        let in_band = |signal: &[f64]| {
+            let spectral = Spectral::new(signal.len(), 1e-3);
+            let values = spectral.transform(signal);
+            let power = values.iter().enumerate().filter(|(bin, _)| spectral.frequency(*bin) < 16.0);
+            (2.0 * power.map(|(_, value)| value.norm_sqr()).sum::<f64>()).sqrt() / signal.len() as f64
+        };
+        let error = inertia(&experiment.motion) - &experiment.tau;
+        let noise = |experiment: &Experiment| experiment.scatter.as_ref().unwrap().std_of_mean(|f| f64::from(f < 16.0));
+        let before = noise(&experiment);
+        experiment.add_resolution(inertia);
+        let after = noise(&experiment);
+        for j in 0..2 {
+            let ratio = after[j] / in_band(error.column(j).as_slice());
+            if repeats {
+                assert!(before[j] < 1e-9 && (0.5..2.0).contains(&ratio), "joint {j}: {before:?} {after:?}, {ratio}");
+            } else {
+                assert!((after[j] - before[j]).abs() < 1e-3 * before[j].max(1e-9), "joint {j}: {before:?} {after:?}");
+            }
+        }
+    }
+}
+
+#[test]
+fn a_start_from_standstill_is_not_in_the_mean_period() {
+    let mut run = run(Some(2.0), 16.0);
+    for (k, t) in run.t.clone().into_iter().enumerate() {
+        let tick = ((k * k) as f64 * 0.618_034).fract() - 0.5;
+        run.q[(k, 0)] += 1e-5 * tick + 0.01 * (-t / 0.1).exp();
+    }
+    let experiment = Experiment::prepare(&run, &kept_periods()).unwrap();
+    assert!((0.3..1.2).contains(&experiment.settling), "{} s", experiment.settling);
+    let q = experiment.motion.q.column(0);
+    let worst = (0..q.len()).map(|k| (q[k] - (PI * k as f64 * 1e-3).sin()).abs()).fold(0.0, f64::max);
+    assert!(worst < 5e-5, "{worst}");
+    assert!(experiment.repeats.unwrap().counted[..100].iter().all(|counted| !counted));
+}
