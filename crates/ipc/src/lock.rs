@@ -176,8 +176,19 @@ impl StopCounter {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
+
+    /// Takes a lock that was just released. A process that another test is starting has a copy of every descriptor from its fork to its exec.
+    pub fn take_released<T, E: std::fmt::Debug>(take: impl Fn() -> Result<T, E>) -> T {
+        let start = std::time::Instant::now();
+        loop {
+            match take() {
+                Err(_) if start.elapsed().as_secs() < 5 => std::thread::yield_now(),
+                taken => return taken.unwrap(),
+            }
+        }
+    }
 
     #[test]
     fn the_error_of_a_second_daemon_names_the_first() {
@@ -193,7 +204,7 @@ mod tests {
 
         assert!(lock.path().is_file());
         drop(lock);
-        Lock::take_in(directory.path(), &robot).unwrap();
+        take_released(|| Lock::take_in(directory.path(), &robot));
     }
 
     #[test]
@@ -220,7 +231,7 @@ mod tests {
             process.kill().unwrap();
             process.wait().unwrap();
         }
-        let again = Lock::take_in(directory.path(), &robot).unwrap();
+        let again = take_released(|| Lock::take_in(directory.path(), &robot));
         Lock::adopt_in(directory.path(), &robot).unwrap();
         // Nor where its file was replaced.
         fs::remove_file(again.path()).unwrap();
