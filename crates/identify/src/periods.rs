@@ -4,6 +4,9 @@ use super::signal::spectral::Spectral;
 use nalgebra::DMatrix;
 use realfft::num_complex::Complex;
 
+/// Time over which a period fades out of the mean before samples that are left out, and in after them \[s\].
+const FADE_S: f64 = 0.1;
+
 /// Mean of P periods and their scatter.
 #[derive(Clone, Debug)]
 pub struct Averaged {
@@ -35,22 +38,23 @@ pub struct Scatter {
 
 /// Averages `values` (rows in time) over its whole periods of `samples` rows, `dt` apart \[s\]; a partial period at the end is ignored.
 ///
-/// Rows with `filled` set were interpolated across a gap: they are used only where no period has a measured sample.
-/// There must be at least one whole period.
-pub fn average(values: &DMatrix<f64>, filled: &[bool], samples: usize, dt: f64) -> Averaged {
+/// Rows with `left_out` set are used only where no period has another one. Periods differ a little, so a period fades out before such rows and in
+/// after them: a step in the mean of the positions would be a blow in its accelerations. There must be at least one whole period.
+pub fn average(values: &DMatrix<f64>, left_out: &[bool], samples: usize, dt: f64) -> Averaged {
     let periods = values.nrows() / samples;
     assert!(periods > 0, "no whole period of {samples} samples in {}", values.nrows());
     let columns = values.ncols();
     let mut mean = DMatrix::zeros(samples, columns);
     let mut counted = vec![false; periods * samples];
+    let weights = weights(&left_out[..periods * samples], dt);
     for k in 0..samples {
-        let rows: Vec<usize> = (0..periods).map(|p| p * samples + k).collect();
-        let measured: Vec<usize> = rows.iter().copied().filter(|&row| !filled[row]).collect();
-        let used = if measured.is_empty() { rows } else { measured };
-        for &row in &used {
-            counted[row] = true;
+        let rows = || (0..periods).map(|p| p * samples + k);
+        let total: f64 = rows().map(|row| weights[row]).sum();
+        for row in rows() {
+            let weight = if total > 0.0 { weights[row] / total } else { 1.0 / periods as f64 };
+            counted[row] = weight > 0.0;
             for c in 0..columns {
-                mean[(k, c)] += values[(row, c)] / used.len() as f64;
+                mean[(k, c)] += weight * values[(row, c)];
             }
         }
     }
@@ -62,6 +66,22 @@ pub fn average(values: &DMatrix<f64>, filled: &[bool], samples: usize, dt: f64) 
     });
     let scatter = Some(Scatter::of(&deviations, &counted, samples, dt));
     Averaged { mean, scatter, deviations, counted }
+}
+
+/// Weight of each row in the mean: 0 where it is left out, 1 from [`FADE_S`] on, a quintic between.
+fn weights(left_out: &[bool], dt: f64) -> Vec<f64> {
+    let fade = (FADE_S / dt).max(1.0);
+    let mut distance = vec![f64::INFINITY; left_out.len()];
+    let mut near = |row: usize, since: &mut f64| {
+        *since = if left_out[row] { 0.0 } else { *since + 1.0 };
+        distance[row] = distance[row].min(*since);
+    };
+    let mut since = f64::INFINITY;
+    (0..left_out.len()).for_each(|row| near(row, &mut since));
+    since = f64::INFINITY;
+    (0..left_out.len()).rev().for_each(|row| near(row, &mut since));
+    let quintic = |x: f64| x.powi(3) * (10.0 - 15.0 * x + 6.0 * x * x);
+    distance.into_iter().map(|distance| quintic((distance / fade).min(1.0))).collect()
 }
 
 /// Subtracts from every sample of a period the mean over the counted periods, and sets the other rows to zero. `deviations`, P N x columns.
@@ -228,6 +248,21 @@ mod tests {
         let averaged = average(&values, &filled, samples, 0.1);
         assert!((0..samples).all(|k| (averaged.mean[(k, 0)] - k as f64).abs() < 1e-12));
         assert!(averaged.scatter.unwrap().std[0] < 1e-12);
+    }
+
+    #[test]
+    fn a_period_fades_out_of_the_mean_and_in_again() {
+        // Two periods 1 mrad apart, one of them left out for half a second.
+        let (samples, dt) = (4000, 1e-3);
+        let values = DMatrix::from_fn(2 * samples, 1, |k, _| if k < samples { 1e-3 } else { 0.0 });
+        let mut left_out = vec![false; values.nrows()];
+        left_out[1000..1500].fill(true);
+        let mean = average(&values, &left_out, samples, dt).mean;
+        assert_eq!((mean[500], mean[1250], mean[2000]), (5e-4, 0.0, 5e-4));
+        let ddq = |k: usize| (mean[k + 1] - 2.0 * mean[k] + mean[k - 1]) / (dt * dt);
+        let worst = (1..samples - 1).map(ddq).fold(0.0, |worst: f64, ddq| worst.max(ddq.abs()));
+        // A step of 0.5 mrad from one sample to the next would be 500 rad/s2.
+        assert!(worst < 1.0, "{worst} rad/s2");
     }
 
     #[test]
