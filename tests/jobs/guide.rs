@@ -9,6 +9,7 @@ use std::fs::Permissions;
 use std::os::unix::fs::{PermissionsExt, symlink};
 use std::path::Path;
 use std::process::{Command, Stdio};
+use tempfile::TempDir;
 
 const PAGES: [&str; 7] = [
     "README.md",
@@ -50,11 +51,16 @@ fn every_block_has_a_known_language() {
     }
 }
 
-/// Runs the blocks of a page that are marked `sh`.
-fn run(name: &str) {
-    let script: String =
-        blocks(&page::read(name)).into_iter().filter(|(language, _)| language == "sh").map(|(_, text)| text).collect();
-    assert!(!script.is_empty(), "{name} has no command to run");
+/// Runs the blocks that are marked `sh` of pages that a reader follows in this order, in one folder.
+fn run(pages: &[&str]) -> TempDir {
+    let mut script = String::new();
+    for name in pages {
+        let before = script.len();
+        script.extend(
+            blocks(&page::read(name)).into_iter().filter(|(language, _)| language == "sh").map(|(_, text)| text),
+        );
+        assert!(script.len() > before, "{name} has no command to run");
+    }
     let folder = tempfile::tempdir().unwrap();
     symlink(Path::new(plumbline_testkit::ROOT).join("config"), folder.path().join("config")).unwrap();
     // Shared memory and locks of its own: robots have the names that people give them.
@@ -72,25 +78,24 @@ fn run(name: &str) {
         .output()
         .unwrap();
     let message = String::from_utf8_lossy(&output.stderr);
-    assert!(output.status.success(), "{name}: {}\n{message}", output.status);
+    assert!(output.status.success(), "{pages:?}: {}\n{message}", output.status);
+    folder
 }
 
 #[test]
-fn the_first_hour_in_simulation_runs() {
-    run("docs/guide/simulation.md");
-}
-
-#[test]
-fn your_own_data_runs() {
-    run("docs/guide/your-data.md");
+fn the_pages_on_one_recording_run_in_their_order() {
+    let folder = run(&["docs/guide/simulation.md", "docs/guide/your-data.md", "docs/guide/diagnosis.md"]);
+    // The figure on these pages is taken from a report.
+    let figure = folder.path().join("figure.svg");
+    let made = Command::new(Path::new(plumbline_testkit::ROOT).join("docs/figures/from_report.py"))
+        .arg(folder.path().join("short/report.html"))
+        .arg("presliding in joint 4")
+        .arg(&figure)
+        .status();
+    assert!(made.unwrap().success() && std::fs::read_to_string(figure).unwrap().contains("</svg>"));
 }
 
 #[test]
 fn your_own_arm_runs() {
-    run("docs/guide/your-arm.md");
-}
-
-#[test]
-fn the_diagnosis_read_by_example_runs() {
-    run("docs/guide/diagnosis.md");
+    run(&["docs/guide/your-arm.md"]);
 }
