@@ -1,6 +1,6 @@
 //! The parts of the data that are left out as a whole when findings are tested, and the maps from their samples to coefficients.
 
-use nalgebra::{DMatrix, DVector};
+use nalgebra::DMatrix;
 use plumbline_identify::Experiment;
 use plumbline_identify::signal::spectral::Spectral;
 use plumbline_model::term::Motion;
@@ -36,8 +36,55 @@ pub struct Fold {
 enum Waves {
     /// The first bins of the period's spectrum.
     Periodic { bins: usize, all: Arc<Spectral>, few: Arc<Spectral>, thinned: Vec<Bin> },
-    /// Cosines over the block, one column each, for all samples and for those of candidates.
-    Block { all: DMatrix<f64>, thinned: DMatrix<f64> },
+    /// Cosines over the block, for all samples and for those of candidates.
+    Block { all: Cosines, thinned: Cosines },
+}
+
+/// Discrete cosine transform of a block (DCT-II, orthonormal).
+#[derive(Clone, Debug)]
+struct Cosines {
+    spectral: Arc<Spectral>,
+    /// Cosine and sine of `pi k / (2 N)` for the coefficients `k` up to half of them.
+    turns: Vec<(f64, f64)>,
+    samples: usize,
+}
+
+impl Cosines {
+    fn new(samples: usize) -> Cosines {
+        let spectral = Arc::new(Spectral::new(samples, 1.0));
+        let turn = |k: usize| (PI * k as f64 / (2 * samples) as f64).sin_cos();
+        let turns = (0..spectral.bins()).map(turn).map(|(sin, cos)| (cos, sin)).collect();
+        Cosines { spectral, turns, samples }
+    }
+
+    /// Height of the cosine of a coefficient.
+    fn scale(&self, row: usize) -> f64 {
+        (if row == 0 { 1.0 } else { 2.0 } / self.samples as f64).sqrt()
+    }
+
+    /// The first coefficients: `c_k = s_k sum_m x_m cos(pi k (m + 1/2) / N)`, by a Fourier transform of the even samples followed by the odd ones
+    /// backwards (Makhoul, IEEE Trans. ASSP 28, 1980).
+    fn transform(&self, x: &[f64], out: &mut [f64]) {
+        let n = self.samples;
+        let even = x.iter().step_by(2);
+        let odd = x[1..].iter().step_by(2).rev();
+        let spectrum = self.spectral.transform(&even.chain(odd).copied().collect::<Vec<_>>());
+        for (k, (value, (cos, sin))) in spectrum.iter().zip(&self.turns).enumerate() {
+            if let Some(out) = out.get_mut(k) {
+                *out = self.scale(k) * (value.re * cos + value.im * sin);
+            }
+            if let Some(out) = out.get_mut(n - k).filter(|_| k > 0) {
+                *out = self.scale(n - k) * (value.re * sin - value.im * cos);
+            }
+        }
+    }
+
+    /// The signal of the first coefficients.
+    fn signal(&self, rows: &[f64]) -> Vec<f64> {
+        let wave = |row: usize, k: usize| (PI * row as f64 * (k as f64 + 0.5) / self.samples as f64).cos();
+        let value = |k: usize| rows.iter().enumerate().map(|(row, c)| c * self.scale(row) * wave(row, k)).sum();
+        (0..self.samples).map(value).collect()
+    }
 }
 
 /// What thinning does to a bin of the spectrum.
@@ -137,11 +184,11 @@ impl Fold {
                 }
             }
             Waves::Block { all, thinned } => {
-                let waves = if step == 1 { all } else { thinned };
-                let x = &x[self.samples.start / step..][..waves.nrows()];
-                for (row, (value, wave)) in out.iter_mut().zip(waves.column_iter()).enumerate() {
-                    let sum: f64 = wave.iter().zip(x).map(|(wave, x)| wave * x).sum();
-                    *value = sum / thinning.gain(PI * row as f64 / n);
+                let cosines = if thinning == Thinning::None { all } else { thinned };
+                cosines.transform(&x[self.samples.start / step..][..cosines.samples], out);
+                // As if all samples had been there: each stands for `step` of them.
+                for (row, value) in out.iter_mut().enumerate() {
+                    *value *= (step as f64).sqrt() / thinning.gain(PI * row as f64 / n);
                 }
             }
         }
@@ -164,8 +211,8 @@ impl Fold {
                 spectral.signal(spectrum)
             }
             Waves::Block { thinned, .. } => {
-                let rows = DVector::from_column_slice(rows);
-                (thinned * rows / step as f64).as_slice().to_vec()
+                let height = 1.0 / (step as f64).sqrt();
+                thinned.signal(rows).into_iter().map(|value| height * value).collect()
             }
         }
     }
@@ -222,12 +269,8 @@ pub(super) fn folds_of(
             let span = thin.start * step..thin.end * step;
             let n = span.len();
             let rows = ((2.0 * highest * n as f64 * dt) as usize + 1).min(thin.len());
-            let scale = |row: usize| if row == 0 { (1.0 / n as f64).sqrt() } else { (2.0 / n as f64).sqrt() };
-            let wave = |row: usize, k: f64| scale(row) * (PI * row as f64 * (k + 0.5) / n as f64).cos();
-            let all = DMatrix::from_fn(n, rows, |k, row| wave(row, k as f64));
-            let middle = |k: usize| (k * step + step / 2) as f64;
-            let thinned = DMatrix::from_fn(thin.len(), rows, |k, row| step as f64 * wave(row, middle(k)));
             let frequencies = (0..rows).map(|row| row as f64 / (2.0 * n as f64 * dt)).collect();
+            let (all, thinned) = (Cosines::new(n), Cosines::new(thin.len()));
             folds.push(fold(span, frequencies, Waves::Block { all, thinned }));
         }
     }

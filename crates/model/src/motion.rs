@@ -4,7 +4,7 @@ use nalgebra::{DMatrix, Vector3};
 use plumbline_core::JointVec;
 
 /// A motion on an even time grid, with all inputs of a regressor.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Motion {
     /// Time between samples \[s\].
     pub dt: f64,

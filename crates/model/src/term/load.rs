@@ -8,13 +8,15 @@ use crate::regressor::LINK_COLUMNS;
 use crate::rnea::{LinkParameters, rnea};
 use nalgebra::{DMatrix, Vector3};
 use plumbline_core::JointVec;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 
 /// Rigid bodies with their parameters, `tau_rb = Y_b beta`.
-#[derive(Clone, Debug)]
+#[derive(Debug)]
 pub struct Load {
     chain: Chain,
     links: Vec<LinkParameters>,
+    /// What it is along the motions that were asked for: many terms ask for the same.
+    known: Mutex<Vec<(Motion, Arc<DMatrix<f64>>)>>,
 }
 
 impl Load {
@@ -25,7 +27,7 @@ impl Load {
         for (&slot, &value) in reduction.independent().iter().zip(beta) {
             links[slot / LINK_COLUMNS][slot % LINK_COLUMNS] = value;
         }
-        Load { chain: chain.clone(), links }
+        Load { chain: chain.clone(), links, known: Mutex::default() }
     }
 
     /// The arm.
@@ -36,12 +38,18 @@ impl Load {
     /// Precomputed for one gravity vector in the base frame \[m/s2\].
     pub fn under(&self, gravity: &Vector3<f64>) -> LoadUnder {
         let mut closed = ClosedForm::default();
-        let plain = (!closed.add_links(&self.chain, &self.links, gravity)).then(|| (self.clone(), *gravity));
+        let fast = closed.add_links(&self.chain, &self.links, gravity);
+        let plain = (!fast).then(|| (self.chain.clone(), self.links.clone(), *gravity));
         LoadUnder { closed, plain }
     }
 
     /// Along a motion, N x n \[Nm\].
-    pub fn along(&self, motion: &Motion) -> DMatrix<f64> {
+    #[expect(clippy::disallowed_methods, reason = "of a whole motion, outside the loop")]
+    pub fn along(&self, motion: &Motion) -> Arc<DMatrix<f64>> {
+        let known = || self.known.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some((_, tau)) = known().iter().find(|(other, _)| other == motion) {
+            return Arc::clone(tau);
+        }
         let mut load = self.under(&motion.gravity);
         let mut tau = DMatrix::zeros(motion.samples(), motion.joints());
         for k in 0..motion.samples() {
@@ -50,6 +58,8 @@ impl Load {
                 tau[(k, j)] = now[j];
             }
         }
+        let tau = Arc::new(tau);
+        known().push((motion.clone(), Arc::clone(&tau)));
         tau
     }
 }
@@ -69,15 +79,15 @@ pub struct OperatingPoint {
 pub struct LoadUnder {
     closed: ClosedForm,
     /// For arms without a closed form (prismatic joints).
-    plain: Option<(Load, Vector3<f64>)>,
+    plain: Option<(Chain, Vec<LinkParameters>, Vector3<f64>)>,
 }
 
 impl LoadUnder {
     /// `tau_rb` at a sample \[Nm\].
     pub fn torque(&mut self, sample: &Sample) -> JointVec {
-        let Some((load, gravity)) = &self.plain else { return self.closed.torque(sample) };
+        let Some((chain, links, gravity)) = &self.plain else { return self.closed.torque(sample) };
         let mut tau = JointVec::default();
-        rnea(&load.chain, &load.links, gravity, &sample.q, &sample.dq, &sample.ddq, &mut tau);
+        rnea(chain, links, gravity, &sample.q, &sample.dq, &sample.ddq, &mut tau);
         tau
     }
 }
