@@ -14,8 +14,8 @@ use plumbline_core::parallel;
 use plumbline_identify::solve::{Estimator, Identification, identify_weighted, identify_with};
 use plumbline_identify::{EstimateError, Experiment, Modelled};
 use plumbline_model::TorqueModel;
-use plumbline_model::term::effect;
-use plumbline_model::term::effect::Spec;
+use plumbline_model::term::Expected;
+use plumbline_model::term::effect::{self, Spec};
 
 /// Smallest share of a joint's unmodelled power on unseen runs that its effects explain, to be delivered.
 const MIN_EXPLAINED_RATIO: f64 = 0.5;
@@ -218,10 +218,13 @@ impl Delivery<'_> {
 
 /// A parameter of an effect that is below zero and can't be by its physics: name and value.
 fn negative(fitted: &Fitted, spec: &Spec) -> Option<(String, f64)> {
-    let structure = &fitted.structure;
-    let terms = structure.terms().iter().zip(structure.ranges());
-    let own = terms.filter(|(term, _)| term.spec().as_ref() == Some(spec));
-    own.flat_map(|(term, range)| range.clone().map(move |c| (term, c - range.start, c)))
-        .find(|(term, column, c)| term.not_negative(*column) && fitted.identification.beta[*c] < 0.0)
-        .map(|(_, _, c)| (structure.columns()[c].name.clone(), fitted.identification.beta[c]))
+    let Fitted { structure, identification } = fitted;
+    let term = spec.build(&structure.operating_point(&identification.beta)).ok()?;
+    if term.expects() != Expected::NotNegative {
+        return None;
+    }
+    // By name: some effects are columns of a term of the whole arm.
+    let values = structure.columns().iter().zip(&identification.beta);
+    let mut own = values.filter(|(column, _)| term.columns().iter().any(|own| own.name == column.name));
+    own.find(|(_, value)| **value < 0.0).map(|(column, value)| (column.name.clone(), *value))
 }

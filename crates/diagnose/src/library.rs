@@ -116,8 +116,16 @@ pub fn library(
     threads: usize,
 ) -> Vec<Candidate> {
     let mut specs = Vec::new();
+    // A law of another joint's motion fits much that has no name, and unknown noise does not tell the two apart.
+    let plausible = |family: &Family, site: Site| match site {
+        Site::Pair { row, cause } if family.rare.between_coupled && !evidence.repeats() => {
+            operating_point.chain.are_coupled(row, cause)
+        }
+        _ => true,
+    };
     for family in families {
-        for site in family.place.sites(operating_point.chain.len()) {
+        let sites = family.place.sites(operating_point.chain.len()).into_iter();
+        for site in sites.filter(|site| plausible(family, *site)) {
             for form in family.forms {
                 specs.extend(grid(family, form, site));
             }

@@ -91,6 +91,7 @@ pub struct StandardDh {
 pub struct Chain {
     joints: Vec<Joint>,
     flange: Placement,
+    coupled: Vec<[usize; 2]>,
 }
 
 impl Chain {
@@ -99,7 +100,7 @@ impl Chain {
     /// Panics past [`MAX_JOINTS`] joints.
     pub fn modified(joints: Vec<Joint>, flange: Placement) -> Chain {
         assert!(joints.len() <= MAX_JOINTS, "{} joints, room for {MAX_JOINTS}", joints.len());
-        Chain { joints, flange }
+        Chain { joints, flange, coupled: Vec::new() }
     }
 
     /// A chain from standard-DH rows. Link frames are the equivalent modified-DH ones (module doc).
@@ -114,6 +115,16 @@ impl Chain {
         }
         let last = Joint { kind: JointKind::Revolute, a, alpha, d: 0.0, theta: 0.0 }.placement(0.0);
         Chain::modified(joints, last.then(&tool))
+    }
+
+    /// The same chain with pairs of joints, counted from 0, whose transmissions are coupled.
+    pub fn with_coupled(self, coupled: Vec<[usize; 2]>) -> Chain {
+        Chain { coupled, ..self }
+    }
+
+    /// Whether the transmissions of two joints, counted from 0, are declared as coupled.
+    pub fn are_coupled(&self, one: usize, other: usize) -> bool {
+        self.coupled.iter().any(|pair| *pair == [one, other] || *pair == [other, one])
     }
 
     /// Number of joints, `n`.

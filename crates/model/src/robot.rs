@@ -128,6 +128,9 @@ pub struct RobotFile {
     pub torque_sensing: TorqueSensing,
     /// The joints, base first.
     pub joint: Vec<JointRow>,
+    /// Pairs of joints, counted from 1, whose gears are coupled, as in many wrists; default none.
+    #[serde(default)]
+    pub coupled: Vec<[usize; 2]>,
     /// The flange, default the last DH frame.
     #[serde(default)]
     pub flange: Flange,
@@ -225,6 +228,12 @@ impl RobotFile {
             let value = format!("alpha = {}, a = {}", first.alpha, first.a);
             return Err(BadInput::new(file, "joint 1, keys `alpha` and `a`", value, expected));
         }
+        if let Some([one, other]) =
+            self.coupled.iter().find(|[a, b]| a == b || ![a, b].iter().all(|j| (1..=n).contains(*j)))
+        {
+            let expected = format!("pairs of two different joints from 1 to {n}");
+            return Err(BadInput::new(file, "coupled", format!("[{one}, {other}]"), expected));
+        }
         for (key, values) in [("xyz", self.flange.xyz), ("rpy", self.flange.rpy)] {
             if values.iter().any(|value| !value.is_finite()) {
                 return Err(BadInput::new(
@@ -253,7 +262,7 @@ impl RobotFile {
         let [roll, pitch, yaw] = self.flange.rpy;
         let rotation = *Rotation3::from_euler_angles(roll, pitch, yaw).matrix();
         let flange = Placement { rotation, origin: Vector3::from(self.flange.xyz) };
-        match self.convention {
+        let chain = match self.convention {
             Convention::ModifiedDh => {
                 let joint = |r: &JointRow| Joint { kind: r.kind, a: r.a, alpha: r.alpha, d: r.d, theta: r.theta };
                 Chain::modified(self.joint.iter().map(joint).collect(), flange)
@@ -262,7 +271,8 @@ impl RobotFile {
                 let row = |r: &JointRow| StandardDh { kind: r.kind, a: r.a, alpha: r.alpha, d: r.d, theta: r.theta };
                 Chain::standard(&self.joint.iter().map(row).collect::<Vec<_>>(), flange)
             }
-        }
+        };
+        chain.with_coupled(self.coupled.iter().map(|pair| pair.map(|joint| joint - 1)).collect())
     }
 
     fn limits(&self) -> Limits {

@@ -51,6 +51,13 @@ fn a_torque_offset() {
     found(11, "torque-offset", Site::Joint(4), "joint = 5\noffset = 0.3");
 }
 
+/// Coulomb friction as an arc tangent of speed.
+#[test]
+fn friction_that_rises_over_a_range_of_speeds() {
+    let text = "joint = 3\nform = \"arctan\"\nsize = 0.2\nvelocity = 0.02";
+    found(13, "coulomb-slope", Site::Joint(2), text);
+}
+
 #[test]
 fn a_ripple() {
     found(14, "position-ripple", Site::Joint(5), "joint = 6\norder = 23.0\nsine = 0.1\ncosine = 0.1");

@@ -16,7 +16,7 @@ enum Route {
     Fast(Box<LinkRegressor>),
     /// An arm with a prismatic joint.
     Plain {
-        chain: Chain,
+        chain: Box<Chain>,
         slots: Vec<usize>,
         gravity: Vector3<f64>,
         standard: DMatrix<f64>,
@@ -30,7 +30,7 @@ impl LinkColumns {
         LinkColumns(match LinkRegressor::new(chain, slots, gravity) {
             Some(fast) => Route::Fast(Box::new(fast)),
             None => Route::Plain {
-                chain: chain.clone(),
+                chain: Box::new(chain.clone()),
                 slots: slots.to_vec(),
                 gravity: *gravity,
                 standard: DMatrix::zeros(chain.len(), chain.len() * LINK_COLUMNS),

@@ -29,6 +29,7 @@ pub static FAMILIES: &[&Family] = &[
     &asymmetric_coulomb::FAMILY,
     &asymmetric_viscous::FAMILY,
     &stribeck::FAMILY,
+    &coulomb_slope::FAMILY,
     &nonlinear_viscous::FAMILY,
     &load_dependent_friction::FAMILY,
     &friction_drift::FAMILY,

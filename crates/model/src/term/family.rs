@@ -56,6 +56,8 @@ pub struct Rare {
     pub whole_arm: Option<WholeArm>,
     /// Whether every arm has it. With unknown noise the search starts from a model with it in every joint.
     pub in_every_arm: bool,
+    /// Whether a search with unknown noise tries it only between joints that the robot file declares as coupled.
+    pub between_coupled: bool,
     /// Whether it may change after an identification; a comparison with a stored model then searches for it.
     pub may_change: bool,
     /// Its part in a description of rigid bodies (URDF, MJCF).
@@ -73,6 +75,7 @@ impl Rare {
     pub const NONE: Rare = Rare {
         whole_arm: None,
         in_every_arm: false,
+        between_coupled: false,
         may_change: false,
         in_bodies: InBodies::Nothing,
         part_of: None,

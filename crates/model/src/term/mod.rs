@@ -11,6 +11,7 @@ pub mod base_motion;
 mod carried;
 mod catalogue;
 pub mod contact;
+mod coulomb_slope;
 mod delay;
 pub mod effect;
 mod encoder_eccentricity;
@@ -88,14 +89,9 @@ pub trait Term: Send + Sync {
         self.fill(chain, motion, y, first);
     }
 
-    /// Possible values of its only parameter.
+    /// Values that physics allows its parameters. A term of which less is allowed than [`Expected::Any`] has one parameter, or one per joint.
     fn expects(&self) -> Expected {
         Expected::Any
-    }
-
-    /// Whether physics requires the parameter of this column to be 0 or more. A search may pass negative values; a delivered model has none.
-    fn not_negative(&self, _column: usize) -> bool {
-        self.expects() == Expected::NotNegative
     }
 
     /// Its columns as functions of one sample, in order; `None` for other columns than those of [`Entry`].
@@ -117,7 +113,7 @@ pub trait Term: Send + Sync {
     fn fix(&self, chain: &Chain, gravity: &Vector3<f64>, beta: &[f64]) -> Box<dyn FixedTerm>;
 }
 
-/// Possible values of the only parameter of a term.
+/// Possible values of a parameter.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Expected {
     /// Any number.

@@ -47,6 +47,7 @@ pub static FAMILY: Family = Family {
     typical: "0.3 to 1.3 Nm over a Panda's joints in the sigmoid form, vt 0.12 to 0.4 rad/s",
     confounded: &[
         confounded("stribeck", "move the joint at constant speeds of 0.02 rad/s up to its rated one"),
+        confounded("coulomb-slope", CONSTANT_SPEEDS),
         confounded("presliding", SLOW_CONSTANT_SPEEDS),
         confounded("fv and fc", "they hold most of it: move the joint up to its rated speed"),
     ],
@@ -57,7 +58,7 @@ pub static FAMILY: Family = Family {
 fn sigmoid(operating_point: &OperatingPoint, site: Site, settings: &[f64]) -> Arc<dyn Term> {
     let columns = vec![column("fn", site, "_sigmoid", unit(operating_point, joint(site), "Nm", "N"))];
     let law = |at: &At, settings: &Settings| [(at.own.dq / settings[0]).tanh(), 0.0, 0.0];
-    OneRow::new(&FAMILY, "sigmoid", site, settings, columns, law).term()
+    OneRow::new(&FAMILY, "sigmoid", site, settings, columns, law).not_negative().term()
 }
 
 fn cubic(operating_point: &OperatingPoint, site: Site, settings: &[f64]) -> Arc<dyn Term> {

@@ -3,7 +3,7 @@
 use super::family::{Family, Site, Spec};
 use super::friction::SHARPNESS;
 use super::load::{Load, LoadUnder, OperatingPoint};
-use super::{Column, FixedTerm, Motion, Sample, Term};
+use super::{Column, Expected, FixedTerm, Motion, Sample, Term};
 use crate::chain::{Chain, JointKind};
 use nalgebra::{DMatrix, Vector3};
 use plumbline_core::JointVec;
@@ -82,7 +82,7 @@ pub(super) struct OneRow<L> {
     columns: Vec<Column>,
     load: Option<Arc<Load>>,
     smooth: bool,
-    not_negative: bool,
+    expects: Expected,
 }
 
 impl<L: Law> OneRow<L> {
@@ -103,7 +103,7 @@ impl<L: Law> OneRow<L> {
         let spec = Spec { family: family.id, form, site, settings: settings.to_vec() };
         let mut own = [0.0; MAX_SETTINGS];
         own[..settings.len()].copy_from_slice(settings);
-        OneRow { family, spec, law, settings: own, columns, load: None, smooth: false, not_negative: false }
+        OneRow { family, spec, law, settings: own, columns, load: None, smooth: false, expects: Expected::Any }
     }
 
     /// A law of the motion and the rigid-body torque.
@@ -116,9 +116,9 @@ impl<L: Law> OneRow<L> {
         OneRow { smooth: true, ..self }
     }
 
-    /// A law whose parameters are 0 or more.
+    /// A law whose parameter is 0 or more.
     pub fn not_negative(self) -> OneRow<L> {
-        OneRow { not_negative: true, ..self }
+        OneRow { expects: Expected::NotNegative, ..self }
     }
 
     pub fn term(self) -> Arc<dyn Term> {
@@ -140,8 +140,8 @@ impl<L: Law> Term for OneRow<L> {
         self.smooth
     }
 
-    fn not_negative(&self, _column: usize) -> bool {
-        self.not_negative
+    fn expects(&self) -> Expected {
+        self.expects
     }
 
     fn id(&self) -> &'static str {

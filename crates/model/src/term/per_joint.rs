@@ -1,6 +1,6 @@
 //! Terms of the whole arm whose columns each depend on one joint's motion and act on that joint.
 
-use super::{Column, Entry, FixedTerm, Motion, Sample, Term};
+use super::{Column, Entry, Expected, FixedTerm, Motion, Sample, Term};
 use crate::chain::{Chain, JointKind};
 use crate::fast::closed::ClosedForm;
 use crate::fast::sign::{SHARPNESS, smooth_signs};
@@ -14,13 +14,13 @@ pub(super) struct PerJoint {
     physics: &'static str,
     columns: Vec<Column>,
     entries: Vec<Entry>,
-    not_negative: bool,
+    expects: Expected,
 }
 
 impl PerJoint {
     /// Without columns.
     pub fn new(id: &'static str, physics: &'static str) -> PerJoint {
-        PerJoint { id, physics, columns: Vec::new(), entries: Vec::new(), not_negative: false }
+        PerJoint { id, physics, columns: Vec::new(), entries: Vec::new(), expects: Expected::Any }
     }
 
     /// Adds one column per joint, called `name` and the joint's number. `units` are those of a revolute and of a prismatic joint.
@@ -43,7 +43,7 @@ impl PerJoint {
 
     /// No parameter can be below zero.
     pub fn not_negative(self) -> PerJoint {
-        PerJoint { not_negative: true, ..self }
+        PerJoint { expects: Expected::NotNegative, ..self }
     }
 
     pub fn term(self) -> Arc<dyn Term> {
@@ -85,8 +85,8 @@ impl Term for PerJoint {
         }
     }
 
-    fn not_negative(&self, _column: usize) -> bool {
-        self.not_negative
+    fn expects(&self) -> Expected {
+        self.expects
     }
 
     fn entries(&self) -> Option<Vec<Entry>> {

@@ -1,7 +1,7 @@
 //! Presliding: elastic friction before sliding, a function of the displacement since the last reversal.
 
 use super::family::*;
-use super::{Column, FixedTerm, Motion, Sample};
+use super::{Column, Expected, FixedTerm, Motion, Sample};
 use crate::chain::Chain;
 use nalgebra::{DMatrix, Vector3};
 use plumbline_core::JointVec;
@@ -22,9 +22,9 @@ pub static FAMILY: Family = Family {
             name: "delta",
             unit: "rad",
             what: "displacement over which the contact bends",
-            low: 3e-4,
+            low: 3e-5,
             high: 0.1,
-            steps: 12,
+            steps: 16,
             scale: Scale::Logarithmic,
         }],
         build,
@@ -36,6 +36,7 @@ pub static FAMILY: Family = Family {
     confounded: &[
         confounded("stribeck", SLOW_CONSTANT_SPEEDS),
         confounded("nonlinear-viscous", CONSTANT_SPEEDS),
+        confounded("coulomb-slope", SLOW_CONSTANT_SPEEDS),
         confounded("delay", HIGHER_HARMONICS),
     ],
     reference: "Dahl, AIAA Journal 14 (1976); Canudas de Wit et al., IEEE Trans. Automatic Control 40 (1995)",
@@ -95,8 +96,8 @@ impl Term for Presliding {
         }
     }
 
-    fn not_negative(&self, _column: usize) -> bool {
-        true
+    fn expects(&self) -> Expected {
+        Expected::NotNegative
     }
 
     fn spec(&self) -> Option<Spec> {

@@ -30,7 +30,11 @@ pub static FAMILY: Family = Family {
     ],
     stratum: Stratum::Repeatable,
     typical: "10 to 60 % of the Coulomb friction, vs 0.01 to 0.2 rad/s",
-    confounded: &[confounded("presliding", SLOW_CONSTANT_SPEEDS), confounded("nonlinear-viscous", CONSTANT_SPEEDS)],
+    confounded: &[
+        confounded("presliding", SLOW_CONSTANT_SPEEDS),
+        confounded("nonlinear-viscous", CONSTANT_SPEEDS),
+        confounded("coulomb-slope", SLOW_CONSTANT_SPEEDS),
+    ],
     reference: "Bittencourt, Gunnarsson, Trans. ASME J. Dynamic Systems 134 (2012)",
     rare: Rare::NONE,
 };
@@ -53,7 +57,7 @@ fn build(
     law: impl Law,
 ) -> Arc<dyn Term> {
     let columns = vec![column("fs", site, &format!("_{form}"), unit(operating_point, joint(site), "Nm", "N"))];
-    OneRow::new(&FAMILY, form, site, settings, columns, law).term()
+    OneRow::new(&FAMILY, form, site, settings, columns, law).not_negative().term()
 }
 
 fn gaussian(at: &At, settings: &Settings) -> [f64; 3] {

@@ -58,10 +58,6 @@ impl Term for Subset {
         Some(self.kept.iter().map(|&c| entries[c]).collect())
     }
 
-    fn not_negative(&self, column: usize) -> bool {
-        self.inner.not_negative(self.kept[column])
-    }
-
     fn expects(&self) -> Expected {
         self.inner.expects()
     }

@@ -9,7 +9,7 @@ use rand_chacha::ChaCha8Rng;
 use std::collections::BTreeSet;
 
 /// The identities that reports and model files are keyed by.
-const IDS: &str = "torque-offset torque-gain asymmetric-coulomb asymmetric-viscous stribeck nonlinear-viscous \
+const IDS: &str = "torque-offset torque-gain asymmetric-coulomb asymmetric-viscous stribeck coulomb-slope nonlinear-viscous \
     load-dependent-friction friction-drift offset-drift presliding rotor-inertia joint-elasticity position-ripple \
     position-dependent-friction spring payload mounting base-motion torque-crosstalk transmission-coupling delay contact \
     encoder-offset encoder-eccentricity backlash friction-change";
@@ -34,13 +34,13 @@ fn the_catalogue_is_complete() {
         }
         let forms: BTreeSet<&str> = family.forms.iter().map(|form| form.name).collect();
         assert_eq!(forms.len(), family.forms.len(), "{id}");
-        let mut names = BTreeSet::new();
         for spec in specs(family, 7, &mut rng) {
             let term = spec.build(&operating_point(&model)).unwrap();
             assert_eq!((term.id(), term.physics()), (id, family.physics));
             let form = family.form(spec.form).unwrap();
             let equation = |name: &str| form.equation.split(|c: char| !c.is_alphanumeric()).any(|word| word == name);
             assert!(form.settings.iter().all(|setting| equation(setting.name)), "settings in the equation of {id}");
+            let mut names = BTreeSet::new();
             for column in term.columns() {
                 assert!(names.insert(column.name.clone()), "two columns {}", column.name);
                 assert!((1..=7).contains(&column.joint));

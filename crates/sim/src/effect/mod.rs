@@ -20,6 +20,7 @@ pub mod asymmetric_viscous;
 pub mod backlash;
 pub mod base_motion;
 pub mod contact;
+pub mod coulomb_slope;
 pub mod delay;
 pub mod encoder_eccentricity;
 pub mod encoder_offset;

@@ -46,6 +46,8 @@ catalogue! {
     AsymmetricViscous, "asymmetric-viscous", asymmetric_viscous;
     /// Friction that falls as the lubricant builds its film.
     Stribeck, "stribeck", stribeck;
+    /// Friction that rises with speed at a reversal.
+    CoulombSlope, "coulomb-slope", coulomb_slope;
     /// Friction that is not proportional to velocity.
     NonlinearViscous, "nonlinear-viscous", nonlinear_viscous;
     /// Friction that grows with the torque that a joint carries.

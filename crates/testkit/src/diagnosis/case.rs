@@ -13,12 +13,13 @@ use std::f64::consts::TAU;
 use std::fmt::Write;
 
 /// Families of the catalogue that show within one session, in every period alike.
-pub const FAMILIES: [&str; 20] = [
+pub const FAMILIES: [&str; 21] = [
     "torque-offset",
     "torque-gain",
     "asymmetric-coulomb",
     "asymmetric-viscous",
     "stribeck",
+    "coulomb-slope",
     "nonlinear-viscous",
     "load-dependent-friction",
     "presliding",
@@ -179,6 +180,10 @@ fn effect(rng: &mut ChaCha8Rng, family: &'static str, joint: Option<usize>, fc: 
             format!("asymmetry = {}", f64::min(0.1, 0.5 * own) * sign(rng))
         }
         "stribeck" => format!("excess = {}\nvelocity = {}", 0.5 * own, between(rng, 0.03, 0.2)),
+        "coulomb-slope" => {
+            let form = if rng.random() { "tanh" } else { "arctan" };
+            format!("form = \"{form}\"\nsize = {own}\nvelocity = {}", between(rng, 0.02, 0.06))
+        }
         "nonlinear-viscous" => match rng.random_range(0..3) {
             0 => format!("form = \"sigmoid\"\nsize = 0.6\nvelocity = {}", between(rng, 0.1, 0.2)),
             1 => "form = \"cubic\"\nsize = 0.065".to_string(),

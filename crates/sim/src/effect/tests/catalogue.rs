@@ -12,6 +12,8 @@ const EXAMPLES: &[&str] = &[
     "id = 'asymmetric-coulomb', joint = 1, asymmetry = 0.1",
     "id = 'asymmetric-viscous', joint = 1, asymmetry = 0.05",
     "id = 'stribeck', joint = 1, excess = 0.2, velocity = 0.05",
+    "id = 'coulomb-slope', joint = 1, size = 0.3, velocity = 0.03",
+    "id = 'coulomb-slope', joint = 1, size = 0.3, velocity = 0.02, form = 'arctan'",
     "id = 'nonlinear-viscous', joint = 2, form = 'sigmoid', size = 0.5, velocity = 0.1, shift = 0.02",
     "id = 'nonlinear-viscous', joint = 2, form = 'cubic', size = 0.3",
     "id = 'nonlinear-viscous', joint = 2, form = 'quadratic', size = 0.2",

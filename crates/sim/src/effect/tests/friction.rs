@@ -39,6 +39,12 @@ fn friction_over_speed_follows_its_law() {
     takes("{ id = 'stribeck', joint = 2, excess = 0.2, velocity = 0.05 }", |at, _| {
         on(2, 0.2 * (-(at.dq[1] * at.dq[1]) / 0.0025).exp() * s(at.dq[1]))
     });
+    takes("{ id = 'coulomb-slope', joint = 2, size = 0.3, velocity = 0.03 }", |at, _| {
+        on(2, 0.3 * ((at.dq[1] / 0.03).tanh() - s(at.dq[1])))
+    });
+    takes("{ id = 'coulomb-slope', joint = 2, size = 0.3, velocity = 0.02, form = 'arctan' }", |at, _| {
+        on(2, 0.3 * ((at.dq[1] / 0.02).atan() * 2.0 / std::f64::consts::PI - s(at.dq[1])))
+    });
     // Gaz et al. 2019: phi1 / (1 + exp(-phi2 (dq + phi3))) - phi1 / (1 + exp(-phi2 phi3)).
     let [phi1, phi2, phi3] = [0.55, 5.0, 0.04];
     takes(
