@@ -450,6 +450,8 @@ mod tests {
             ("box-min = [-0.9", "box-min = [9.0", "workspace, keys `box-min` and `box-max`", "x from 9 to 0.9"),
             ("link = 7", "link = 8", "capsule 9, key `link`", "8"),
             ("radius = 0.025", "radius = 0.0", "capsule 7, key `radius`", "0"),
+            ("torque-sensing = \"link\"", "torque-sensing = \"link\"\ncoupled = [[5, 8]]", "coupled", "[5, 8]"),
+            ("torque-sensing = \"link\"", "torque-sensing = \"link\"\ncoupled = [[5, 5]]", "coupled", "[5, 5]"),
             ("exempt = [[1, 3]]", "exempt = [[1, 9]]", "self-collision, key `exempt`", "[1, 9]"),
             ("jerk = 7500.0", "dq-offset = 0.3\njerk = 7500.0", "joint 1, key `dq-braking`", "nothing"),
         ];
@@ -463,6 +465,12 @@ mod tests {
         let joints = panda.find("[[joint]]").unwrap();
         let many = format!("{}{}", &panda[..joints], panda[joints..panda.find("# Flange").unwrap()].repeat(2));
         assert_eq!(Robot::parse("arm.toml", &many).unwrap_err().value, "14 joints");
+    }
+
+    #[test]
+    fn coupled_joints_are_a_pair_in_either_order() {
+        let chain = Robot::load("tx40", None).unwrap().chain;
+        assert!(chain.are_coupled(4, 5) && chain.are_coupled(5, 4) && !chain.are_coupled(3, 4));
     }
 
     #[test]

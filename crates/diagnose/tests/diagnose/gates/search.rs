@@ -4,7 +4,7 @@ use super::synthetic::{
     At, FLOOR, ROWS, Recorded, once, once_with_effect, recorded, scaled, with_effect, with_effect_in_noise,
 };
 use plumbline_diagnose::{Candidate, FoldTest, Relevance, Scored, Search, Selected, Settings, State};
-use plumbline_model::term::effect::{Family, Site, Spec};
+use plumbline_model::term::effect::{Family, OperatingPoint, Site, Spec, family};
 use plumbline_model::term::{
     asymmetric_coulomb, asymmetric_viscous, joint_elasticity, position_ripple, spring, torque_offset,
 };
@@ -269,6 +269,23 @@ fn a_rival_is_what_comes_within_twelve_of_the_score() {
 fn tight_from(share: f64) -> Recorded {
     let largest = once(40.0, 10, |_| [0.0; 2]).experiments[0].motion.q.column(1).max();
     once(40.0, 10, move |at| [0.0, 30.0 * (at.q[1] - share * largest).max(0.0)])
+}
+
+#[test]
+fn without_repeats_coupled_gears_are_searched_only_where_the_robot_file_has_them() {
+    let coupling: [&'static Family; 1] = [family("transmission-coupling").unwrap()];
+    let settings = Settings::default();
+    let sites = |recorded: &Recorded| recorded.search(&coupling, &settings, |search, _| search.library.len());
+    assert!(sites(&recorded(4, 1, constant(0.0))) > 0);
+    let free = once(20.0, 1, constant(0.0));
+    assert_eq!(sites(&free), 0);
+    free.search(&coupling, &settings, |search, base| {
+        let OperatingPoint { chain, load, friction } = search.operating_point;
+        let chain = chain.clone().with_coupled(vec![[1, 0]]);
+        let coupled = OperatingPoint { chain, load: load.clone(), friction: friction.clone() };
+        let evidence = search.problem.evidence;
+        assert!(!plumbline_diagnose::library(evidence, &coupled, &coupling, None, 1).is_empty(), "{}", base.base);
+    });
 }
 
 #[test]
