@@ -34,7 +34,7 @@ KINDS = {
     "out-of-round": {"position-dependent-friction"}, "coupling": {"transmission-coupling"}, "spring": {"spring"},
     "rotor": {"rotor-inertia"}, "vibration": {"base-motion"}, "contact": {"contact"}, "tilt": {"mounting"}, "tilt-run": {"mounting"},
     "payload-session": {"payload"}, "payload-step": {"payload"}, "delay": {"delay"}, "crosstalk": {"torque-crosstalk"},
-    "asymmetric": {"asymmetric-coulomb"}, "arctan": {"nonlinear-viscous"}, "power": {"nonlinear-viscous"}, "hose": None,
+    "asymmetric": {"asymmetric-coulomb"}, "arctan": {"coulomb-slope", "nonlinear-viscous"}, "power": {"nonlinear-viscous"}, "hose": None,
     "spikes": None, "zeros": None,
 }
 FAULTS = {"spikes", "zeros"}  # to be masked, not named

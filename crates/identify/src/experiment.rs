@@ -2,7 +2,7 @@
 
 use super::EstimateError;
 use super::differentiate::Differentiator;
-use super::periods::{NoiseOfMean, Scatter, average, centre};
+use super::periods::{NoiseOfMean, Scatter, average, centre, mean, weights};
 use super::run::Run;
 use super::settings::Settings;
 use super::settling::settling;
@@ -72,6 +72,10 @@ pub struct Experiment {
     edge: usize,
     /// First sample of the grid in the run, after the skipped periods.
     first: usize,
+    /// Indices of the periods that are in the mean; none without a period.
+    periods: Vec<usize>,
+    /// Weights of their samples in the mean.
+    weights: Vec<f64>,
 }
 
 /// Every period's deviation from the mean, P N rows, period below period. Excluded samples are zero.
@@ -97,6 +101,8 @@ struct Even {
     periodic: bool,
     /// Indices of the periods that are used.
     periods: Vec<usize>,
+    /// Weights of their samples in the mean.
+    weights: Vec<f64>,
     scatter: Option<Scatter>,
     deviations: DMatrix<f64>,
     counted: Vec<bool>,
@@ -132,6 +138,7 @@ impl Experiment {
                 first: 0,
                 periodic: false,
                 periods: Vec::new(),
+                weights: Vec::new(),
                 scatter: None,
                 deviations: DMatrix::zeros(0, 2 * n),
                 counted: Vec::new(),
@@ -163,22 +170,23 @@ impl Experiment {
         let settling = settling(&rest.columns(0, n).into_owned(), &left_out, samples, dt);
         left_out[..settling].fill(true);
         let mut periods: Vec<usize> = (skipped..found).collect();
-        // Periods that are excluded as a whole are removed; of the others the excluded samples.
-        for (k, gone) in left_out.chunks(samples).enumerate().rev() {
-            if gone.iter().all(|gone| *gone) {
-                rest = rest.remove_rows(k * samples, samples);
-                filled.drain(k * samples..(k + 1) * samples);
-                periods.remove(k);
-            } else {
-                filled[k * samples..][..samples].iter_mut().zip(gone).for_each(|(filled, gone)| *filled |= gone);
-            }
+        // Periods that are excluded as a whole are removed.
+        let gone = left_out.chunks(samples).enumerate().filter(|(_, period)| period.iter().all(|left_out| *left_out));
+        let gone: Vec<usize> = gone.map(|(k, _)| k).collect();
+        for k in gone.into_iter().rev() {
+            rest = rest.remove_rows(k * samples, samples);
+            filled.drain(k * samples..(k + 1) * samples);
+            left_out.drain(k * samples..(k + 1) * samples);
+            periods.remove(k);
         }
         if periods.is_empty() {
             return Err(EstimateError::Periods { run: run.name.clone(), found, skipped: found, period });
         }
-        let averaged = average(&rest, &filled, samples, dt);
+        let weights = weights(&filled, &left_out, samples, dt);
+        let averaged = average(&rest, &weights, samples, dt);
         let even = Even {
             periods,
+            weights,
             values: averaged.mean,
             sampling: even.sampling,
             first,
@@ -192,7 +200,7 @@ impl Experiment {
     }
 
     fn build(run: &Run, settings: &Settings, even: Even) -> Result<Experiment, SignalError> {
-        let Even { values, sampling, first, periodic, periods, scatter, deviations, counted, settling } = even;
+        let Even { values, sampling, first, periodic, periods, weights, scatter, deviations, counted, settling } = even;
         let (n, samples, dt) = (run.joints(), values.nrows(), sampling.dt);
         let rate = 1.0 / dt;
         let filter = Butterworth::new(settings.order, settings.torque_cutoff, rate)?;
@@ -236,7 +244,7 @@ impl Experiment {
             tau: values.view((edge, n), (count, n)).into_owned(),
             noise: scatter.as_ref().map(|_| NoiseOfMean::of(&of_tau(), samples, dt, |f| filter.zero_phase_gain(f))),
             repeats: (scatter.is_some() && settings.keep_periods).then(|| Repeats {
-                periods,
+                periods: periods.clone(),
                 q: deviations.columns(0, n).into_owned(),
                 tau: of_tau(),
                 counted,
@@ -256,6 +264,8 @@ impl Experiment {
             comparison_differentiator,
             edge,
             first,
+            periods,
+            weights,
         };
         experiment.exclude_rests(settings.rest);
         if !periodic {
@@ -351,14 +361,15 @@ impl Experiment {
         let even = resample(t, q_d, Some(self.sampling.dt)).map_err(signal)?;
         let samples = self.q.nrows();
         let short = SignalError::Shape { what: "desired positions", found: even.values.nrows(), expected: samples };
-        if even.values.nrows() < self.first + samples {
+        let end = self.periods.last().map_or(self.first, |period| period * samples) + samples;
+        if even.values.nrows() < end {
             return Err(signal(short));
         }
-        let rest = even.values.rows(self.first, even.values.nrows() - self.first).into_owned();
         let grid = if self.motion.periodic {
-            average(&rest, &even.filled[self.first..], samples, self.sampling.dt).mean
+            let rows = self.periods.iter().flat_map(|period| period * samples..(period + 1) * samples);
+            mean(&even.values.select_rows(&rows.collect::<Vec<_>>()), &self.weights, samples)
         } else {
-            rest.rows(0, samples).into_owned()
+            even.values.rows(self.first, samples).into_owned()
         };
         self.desired = Some(self.differentiator.motion(&grid, self.edge));
         Ok(self)

@@ -4,6 +4,8 @@ use super::signal::spectral::Spectral;
 use nalgebra::DMatrix;
 use realfft::num_complex::Complex;
 
+/// Least sum of the weights of measured rows for which interpolated ones are not used.
+const MIN_MEASURED_WEIGHT: f64 = 0.1;
 /// Time over which a period fades out of the mean before samples that are left out, and in after them \[s\].
 const FADE_S: f64 = 0.5;
 
@@ -36,29 +38,14 @@ pub struct Scatter {
     pub dt: f64,
 }
 
-/// Averages `values` (rows in time) over its whole periods of `samples` rows, `dt` apart \[s\]; a partial period at the end is ignored.
-///
-/// Rows with `left_out` set are used only where no period has another one. Periods differ a little, so a period fades out before such rows and in
-/// after them: a step in the mean of the positions would be a blow in its accelerations. The end of the record adjoins its start, as the end of the
-/// mean does. There must be at least one whole period.
-pub fn average(values: &DMatrix<f64>, left_out: &[bool], samples: usize, dt: f64) -> Averaged {
+/// Averages `values` (rows in time) over its whole periods of `samples` rows with these [`weights`]; a partial period at the end is ignored. There
+/// must be at least one whole period. `dt`: time between samples \[s\].
+pub fn average(values: &DMatrix<f64>, weights: &[f64], samples: usize, dt: f64) -> Averaged {
     let periods = values.nrows() / samples;
     assert!(periods > 0, "no whole period of {samples} samples in {}", values.nrows());
     let columns = values.ncols();
-    let mut mean = DMatrix::zeros(samples, columns);
-    let mut counted = vec![false; periods * samples];
-    let weights = weights(&left_out[..periods * samples], dt);
-    for k in 0..samples {
-        let rows = || (0..periods).map(|p| p * samples + k);
-        let total: f64 = rows().map(|row| weights[row]).sum();
-        for row in rows() {
-            let weight = if total > 0.0 { weights[row] / total } else { 1.0 / periods as f64 };
-            counted[row] = weight > 0.0;
-            for c in 0..columns {
-                mean[(k, c)] += weight * values[(row, c)];
-            }
-        }
-    }
+    let mean = mean(values, weights, samples);
+    let counted: Vec<bool> = weights.iter().map(|weight| *weight > 0.0).collect();
     if periods < 2 {
         return Averaged { mean, scatter: None, deviations: DMatrix::zeros(0, columns), counted };
     }
@@ -69,21 +56,46 @@ pub fn average(values: &DMatrix<f64>, left_out: &[bool], samples: usize, dt: f64
     Averaged { mean, scatter, deviations, counted }
 }
 
-/// Weight of each row in the mean: 0 where it is left out, 1 from [`FADE_S`] on, a quintic between. The last row adjoins the first.
-fn weights(left_out: &[bool], dt: f64) -> Vec<f64> {
-    let fade = (FADE_S / dt).max(1.0);
-    let mut distance = vec![f64::INFINITY; left_out.len()];
+/// Mean of periods of `samples` rows with these [`weights`], samples x columns.
+pub fn mean(values: &DMatrix<f64>, weights: &[f64], samples: usize) -> DMatrix<f64> {
+    let mut mean = DMatrix::zeros(samples, values.ncols());
+    for (row, weight) in weights.iter().enumerate() {
+        for c in 0..values.ncols() {
+            mean[(row % samples, c)] += weight * values[(row, c)];
+        }
+    }
+    mean
+}
+
+/// Weight of every row in the mean over its periods, one in sum for each sample of a period.
+///
+/// `filled` rows were interpolated: they count where no period has another one. Rows that are `left_out` count nowhere but where all periods are.
+/// Periods differ a little, so a period fades out before rows that are left out and in after them: a step in the mean of the positions would be a
+/// blow in its accelerations. The end of the record adjoins its start, as the end of the mean does.
+pub fn weights(filled: &[bool], left_out: &[bool], samples: usize, dt: f64) -> Vec<f64> {
+    let periods = left_out.len() / samples;
+    let rows = || 0..periods * samples;
+    let mut distance = vec![f64::INFINITY; rows().len()];
     let mut near = |row: usize, since: &mut f64| {
-        *since = if left_out[row] { 0.0 } else { *since + 1.0 };
+        *since = if left_out[row] { 0.0 } else { *since + dt };
         distance[row] = distance[row].min(*since);
     };
-    let rows = || 0..left_out.len();
     let mut since = f64::INFINITY;
     rows().chain(rows()).for_each(|row| near(row, &mut since));
     since = f64::INFINITY;
     rows().chain(rows()).rev().for_each(|row| near(row, &mut since));
     let quintic = |x: f64| x.powi(3) * (10.0 - 15.0 * x + 6.0 * x * x);
-    distance.into_iter().map(|distance| quintic((distance / fade).min(1.0))).collect()
+    let mut weights: Vec<f64> = rows().map(|row| quintic((distance[row] / FADE_S).min(1.0))).collect();
+    for k in 0..samples {
+        let own = || (0..periods).map(|p| p * samples + k);
+        let measured: f64 = own().filter(|&row| !filled[row]).map(|row| weights[row]).sum();
+        if measured > MIN_MEASURED_WEIGHT {
+            own().filter(|&row| filled[row]).for_each(|row| weights[row] = 0.0);
+        }
+        let total: f64 = own().map(|row| weights[row]).sum();
+        own().for_each(|row| weights[row] = if total > 0.0 { weights[row] / total } else { 1.0 / periods as f64 });
+    }
+    weights
 }
 
 /// Subtracts from every sample of a period the mean over the counted periods, and sets the other rows to zero. `deviations`, P N x columns.
@@ -197,6 +209,10 @@ mod tests {
     use rand_chacha::ChaCha8Rng;
     use rand_distr::{Distribution, StandardNormal};
 
+    fn equal(periods: usize, samples: usize) -> Vec<f64> {
+        vec![1.0 / periods as f64; periods * samples]
+    }
+
     fn noise(rng: &mut ChaCha8Rng) -> f64 {
         StandardNormal.sample(rng)
     }
@@ -225,7 +241,7 @@ mod tests {
             // Column by column, so that the coloured process runs in time.
             values.set_column(c, &record(5 + c as u64, periods, samples).column(c));
         }
-        let averaged = average(&values, &vec![false; values.nrows()], samples, 1e-3);
+        let averaged = average(&values, &equal(periods, samples), samples, 1e-3);
         let scatter = averaged.scatter.unwrap();
         assert_eq!(scatter.periods, periods);
         assert!((scatter.std[0] / 0.05 - 1.0).abs() < 0.02, "{:?}", scatter.std);
@@ -247,9 +263,30 @@ mod tests {
         let mut filled = vec![false; 60];
         values[(25, 0)] = 1e6;
         filled[25] = true;
-        let averaged = average(&values, &filled, samples, 0.1);
+        let averaged = average(&values, &weights(&filled, &[false; 60], samples, 0.1), samples, 0.1);
         assert!((0..samples).all(|k| (averaged.mean[(k, 0)] - k as f64).abs() < 1e-12));
         assert!(averaged.scatter.unwrap().std[0] < 1e-12);
+    }
+
+    #[test]
+    fn a_gap_is_filled_from_the_period_that_has_it_and_not_from_one_that_is_left_out() {
+        let (samples, dt) = (2000, 1e-3);
+        // The first period is another motion and left out; the second lacks a sample, which was interpolated.
+        let values = DMatrix::from_fn(2 * samples, 1, |k, _| if k < samples { 1.0 } else { 0.0 });
+        let (mut filled, mut left_out) = (vec![false; 2 * samples], vec![false; 2 * samples]);
+        left_out[..800].fill(true);
+        filled[samples + 500] = true;
+        filled[1400] = true;
+        let weights = weights(&filled, &left_out, samples, dt);
+        let mean = mean(&values, &weights, samples);
+        assert!(mean.rows(0, 800).iter().all(|value| *value == 0.0));
+        // Where both are used, the measured sample counts.
+        assert!(
+            mean[(1800, 0)] < 2e-3 && (mean[(1700, 0)] - 0.5).abs() < 1e-9,
+            "{} {}",
+            mean[(1800, 0)],
+            mean[(1700, 0)]
+        );
     }
 
     #[test]
@@ -260,7 +297,7 @@ mod tests {
         let values = DMatrix::from_fn(2 * samples, 1, |k, _| above(k));
         let mut left_out = vec![false; values.nrows()];
         left_out[..500].fill(true);
-        let mean = average(&values, &left_out, samples, dt).mean;
+        let mean = mean(&values, &weights(&vec![false; left_out.len()], &left_out, samples, dt), samples);
         assert_eq!((mean[250], mean[2000]), (0.0, 0.5 * above(2000)));
         let ddq = |k: usize| {
             let at = |k: usize| mean[k % samples];
@@ -273,6 +310,6 @@ mod tests {
 
     #[test]
     fn one_period_has_no_scatter() {
-        assert!(average(&DMatrix::zeros(30, 1), &[false; 30], 20, 0.1).scatter.is_none());
+        assert!(average(&DMatrix::zeros(30, 1), &equal(1, 20), 20, 0.1).scatter.is_none());
     }
 }
