@@ -43,8 +43,8 @@ impl TorqueUncertainty {
     /// Half the width of the 95 % prediction interval of one raw torque sample, per row of a regressor, n N joint by joint \[Nm\].
     ///
     /// The variance is `y C y' + s_j^2` with `y` the row, `C` the covariance of the parameters and `s_j` the standard deviation of the joint's
-    /// residual. The quantile is that of Student's t distribution with the degrees of freedom of the sum (Satterthwaite); those of `y C y'`
-    /// are the smallest of the parameters that act on the row.
+    /// residual. The quantile is that of Student's t distribution with the degrees of freedom of the sum (Satterthwaite). Those of `y C y'` are
+    /// the harmonic mean of the parameters', weighted by `y_c^2 C_cc`.
     pub fn half_widths(&self, regressor: &DMatrix<f64>) -> Vec<f64> {
         let Spread { covariance, freedom } = &self.parameters;
         let samples = regressor.nrows() / self.residual_std.len();
@@ -54,11 +54,16 @@ impl TorqueUncertainty {
             let spread = rows * covariance;
             for (k, (row, spread)) in rows.row_iter().zip(spread.row_iter()).enumerate() {
                 let of_parameters = row.dot(&spread).max(0.0);
-                let acts = |c: &usize| row[*c] != 0.0 && covariance[(*c, *c)] > 0.0;
-                let least = (0..freedom.len()).filter(acts).map(|c| freedom[c]).fold(f64::INFINITY, f64::min);
+                let (mut weights, mut inverses) = (0.0, 0.0);
+                for (c, freedom) in freedom.iter().enumerate() {
+                    let weight = row[c].powi(2) * covariance[(c, c)];
+                    weights += weight;
+                    inverses += weight / freedom;
+                }
+                let inverse = if weights > 0.0 { inverses / weights } else { 0.0 };
                 let of_sample = self.residual_std[(first + k) / samples].powi(2);
                 let variance = of_parameters + of_sample;
-                let over_freedom = of_parameters.powi(2) / least + of_sample.powi(2) / self.residual_freedom;
+                let over_freedom = of_parameters.powi(2) * inverse + of_sample.powi(2) / self.residual_freedom;
                 let combined = if over_freedom > 0.0 { variance.powi(2) / over_freedom } else { f64::INFINITY };
                 widths.push(student_975(combined) * variance.sqrt());
             }
@@ -93,9 +98,10 @@ mod tests {
         for (width, expected) in widths.iter().zip(expected) {
             assert!((width / expected - 1.0).abs() < 1e-6, "{width} {expected}");
         }
-        // Parameters alone: their own degrees of freedom, the smallest of those that act.
+        // Parameters alone: 0.05 / (0.04 / 5 + 0.01 / 10) = 5.56 degrees of freedom.
         let widths = uncertainty(5.0).half_widths(&regressor);
-        assert!((widths[1] / (2.5706 * 0.014_f64.sqrt()) - 1.0).abs() < 1e-4, "{}", widths[1]);
+        let expected = student_975(0.05 / 0.009) * 0.014_f64.sqrt();
+        assert!((widths[1] / expected - 1.0).abs() < 1e-9, "{} {expected}", widths[1]);
         // Variances 0.16 with 5 degrees of freedom and 0.09 with many: 0.25^2 / (0.16^2 / 5) = 12.2, where Student's quantile is 2.1750.
         assert!((widths[0] / (2.1750 * 0.5) - 1.0).abs() < 1e-3, "{}", widths[0]);
     }
