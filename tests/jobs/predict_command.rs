@@ -216,7 +216,7 @@ fn prediction_intervals_hold_the_torques_of_unseen_motion() {
         all.extend(coverage);
     }
     println!("with coloured noise: {:.3} of all", mean(&all));
-    // Half of this noise's variance has a correlation time of 0.3 s: 10 s of it are some 17 independent values, and the share scatters by about 0.02.
+    // Half of the noise's variance and more has a correlation time of 0.3 s: 10 s of it are some 17 independent values, so the share scatters by about 0.02.
     assert!((0.935..0.965).contains(&mean(&all)) && all.iter().all(|share| *share > 0.88), "{all:?}");
 }
 
