@@ -47,8 +47,8 @@ fn check(found: &TorqueUncertainty, model: &TorqueModel) -> Result<(), Wrong> {
     if let Some(j) = found.residual_std.iter().position(|std| !(std.is_finite() && *std >= 0.0)) {
         return wrong(format!("residual-std[{j}]"), found.residual_std[j].to_string(), "a torque in Nm, 0 or more");
     }
-    let a_freedom = "degrees of freedom, above 0";
-    if !(found.residual_freedom.is_finite() && found.residual_freedom > 0.0) {
+    let a_freedom = "degrees of freedom, 1 or more";
+    if !(found.residual_freedom.is_finite() && found.residual_freedom >= 1.0) {
         return wrong("residual-freedom".into(), found.residual_freedom.to_string(), a_freedom);
     }
     if freedom.len() != parameters.len() {
@@ -56,7 +56,7 @@ fn check(found: &TorqueUncertainty, model: &TorqueModel) -> Result<(), Wrong> {
         return wrong("freedom".into(), found, &format!("{}, one per parameter", parameters.len()));
     }
     // Of an eliminated parameter they are infinite.
-    if let Some(c) = freedom.iter().position(|freedom| freedom.is_nan() || *freedom <= 0.0) {
+    if let Some(c) = freedom.iter().position(|freedom| freedom.is_nan() || *freedom < 1.0) {
         return wrong(format!("freedom[{c}]"), freedom[c].to_string(), a_freedom);
     }
     for (c, Parameter { column, std, .. }) in parameters.iter().enumerate() {
@@ -80,10 +80,17 @@ fn check(found: &TorqueUncertainty, model: &TorqueModel) -> Result<(), Wrong> {
         }
     }
     let scale: Vec<f64> = covariance.diagonal().iter().map(|variance| variance.sqrt()).collect();
-    let correlation = DMatrix::from_fn(scale.len(), scale.len(), |c, d| {
-        let product = scale[c] * scale[d];
-        if product > 0.0 { covariance[(c, d)] / product } else { covariance[(c, d)] }
+    let correlation = DMatrix::from_fn(scale.len(), scale.len(), |c, d| match covariance[(c, d)] {
+        0.0 => 0.0,
+        value => value / scale[c] / scale[d],
     });
+    // Also what a variance of 0 gives: infinity.
+    if let Some(at) = correlation.iter().position(|value| value.abs() > 1.0 + ROUNDING) {
+        let (c, d) = (at % scale.len(), at / scale.len());
+        let (first, second) = (&parameters[c.max(d)].column.name, &parameters[c.min(d)].column.name);
+        let expected = format!("at most {:?}, the product of their standard deviations", scale[c] * scale[d]);
+        return wrong(format!("covariance of {first} and {second}"), covariance[(c, d)].to_string(), &expected);
+    }
     let eigenvalues = correlation.symmetric_eigenvalues();
     if eigenvalues.min() < -ROUNDING * eigenvalues.max().max(0.0) {
         let found = format!("a matrix whose correlations have the eigenvalue {:e}", eigenvalues.min());

@@ -183,10 +183,22 @@ fn every_wrong_uncertainty_is_refused_by_name() {
     let entry = |row: usize, column: usize, value: f64| {
         spoil(&|block| list(&mut list(&mut block["covariance"])[row])[column] = value.into())
     };
+    // Three parameters cannot be pairwise opposed.
+    let opposed = spoil(&|block| {
+        let rows = list(&mut block["covariance"]);
+        let mut entry = |row: usize, column: usize| list(&mut rows[row])[column].as_float().unwrap();
+        let std = [0, 1, 2].map(|c| entry(c, c).sqrt());
+        for (row, column) in [(1, 0), (2, 0), (2, 1)] {
+            list(&mut rows[row])[column] = (-0.9 * std[row] * std[column]).into();
+        }
+    });
     let cases = [
         (spoil(&|block| list(&mut block["residual-std"]).truncate(6)), "key `residual-std`: got 6 values, expected 7"),
         (spoil(&|block| list(&mut block["residual-std"])[2] = (-0.1).into()), "key `residual-std[2]`: got -0.1"),
-        (spoil(&|block| block["residual-freedom"] = 0.0.into()), "key `residual-freedom`: got 0, expected degrees"),
+        (
+            spoil(&|block| block["residual-freedom"] = 0.0.into()),
+            "key `residual-freedom`: got 0, expected degrees of freedom, 1 or more",
+        ),
         (spoil(&|block| list(&mut block["freedom"]).push(1.0.into())), "key `freedom`: got 72 values, expected 71"),
         (spoil(&|block| list(&mut block["freedom"])[3] = f64::NAN.into()), "key `freedom[3]`: got NaN"),
         (spoil(&|block| list(&mut block["covariance"]).truncate(70)), "key `covariance`: got 70 rows, expected 71"),
@@ -197,8 +209,8 @@ fn every_wrong_uncertainty_is_refused_by_name() {
         (entry(2, 0, f64::NAN), "key `covariance of ly1 and Lzz1`: got NaN, expected a finite number"),
         (entry(2, 2, -1e-9), "key `covariance of ly1 and ly1`: got -0.000000001, expected a variance"),
         (entry(2, 2, 0.5), "key `covariance of ly1 and ly1`: got 0.5, expected "),
-        // A correlation above 1.
-        (entry(2, 1, 0.5), "expected a positive semi-definite matrix"),
+        (entry(2, 1, 0.5), "key `covariance of ly1 and lx1`: got 0.5, expected at most "),
+        (opposed, "expected a positive semi-definite matrix"),
         (spoil(&|block| drop(block.remove("freedom"))), "missing field `freedom`"),
         (spoil(&|block| drop(block.insert("mean".into(), 1.0.into()))), "mean"),
     ];
