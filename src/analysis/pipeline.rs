@@ -7,7 +7,7 @@ use crate::report::figures::TorqueFigure;
 use nalgebra::DMatrix;
 use plumbline_core::{BadInput, parallel, threads};
 use plumbline_identify::consistency::{Nearest, Prior, Uncertainty, nearest};
-use plumbline_identify::{EstimateError, Experiment, Modelled, Rms, Settings, compare, solve};
+use plumbline_identify::{EstimateError, Experiment, Modelled, Rms, Settings, TorqueUncertainty, compare, solve};
 
 use plumbline_identify::solve::{Identification, identify_with};
 use plumbline_model::term::{Motion, torque_offset};
@@ -240,10 +240,28 @@ pub struct Predicted {
     pub at_end: Vec<bool>,
     /// Errors without those samples, where the recording has measured torques.
     pub rms: Option<Rms>,
+    /// Half the width of each torque's 95 % prediction interval, N x n \[Nm\]; `None` without the model's uncertainty.
+    pub half_widths: Option<DMatrix<f64>>,
 }
 
-/// Torques of a model at every sample of a recorded motion.
-pub fn predict(model: &TorqueModel, run: &Run, settings: &Settings) -> Result<Predicted, Failure> {
+impl Predicted {
+    /// Share of the measured torques within the prediction interval, per joint, without the samples near an end; `None` without either.
+    pub fn coverage(&self, measured: &DMatrix<f64>) -> Option<Vec<f64>> {
+        let half_widths = self.half_widths.as_ref().filter(|half| half.shape() == measured.shape())?;
+        let counted: Vec<usize> = (0..self.at_end.len()).filter(|&k| !self.at_end[k]).collect();
+        let within = |k: usize, j: usize| (measured[(k, j)] - self.torques[(k, j)]).abs() <= half_widths[(k, j)];
+        let share = |j: usize| counted.iter().filter(|&&k| within(k, j)).count() as f64 / counted.len().max(1) as f64;
+        Some((0..measured.ncols()).map(share).collect())
+    }
+}
+
+/// Torques of a model at every sample of a recorded motion, with prediction intervals where the model's `uncertainty` is given.
+pub fn predict(
+    model: &TorqueModel,
+    uncertainty: Option<&TorqueUncertainty>,
+    run: &Run,
+    settings: &Settings,
+) -> Result<Predicted, Failure> {
     let measured = run.data.tau.ncols() > 0;
     // All samples, not the mean period.
     let mut whole = plumbline_identify::Run { period: None, ..run.data.clone() };
@@ -257,15 +275,22 @@ pub fn predict(model: &TorqueModel, run: &Run, settings: &Settings) -> Result<Pr
     let samples = even.nrows();
     // The grid begins with the recording and may end up to one step before its last sample.
     let place = |t: f64| ((t - run.data.t[0]) / motion.dt).clamp(0.0, samples as f64);
-    let torques = DMatrix::from_fn(run.samples(), run.joints(), |k, j| {
-        let at = place(run.data.t[k]);
-        let before = (at as usize).min(samples - 2);
-        even[(before, j)] + (at - before as f64) * (even[(before + 1, j)] - even[(before, j)])
+    let at_stamps = |even: &DMatrix<f64>| {
+        DMatrix::from_fn(run.samples(), run.joints(), |k, j| {
+            let at = place(run.data.t[k]);
+            let before = (at as usize).min(samples - 2);
+            even[(before, j)] + (at - before as f64) * (even[(before + 1, j)] - even[(before, j)])
+        })
+    };
+    let torques = at_stamps(&even);
+    let half_widths = uncertainty.map(|uncertainty| {
+        let widths = uncertainty.half_widths(&model.structure().regressor(&motion));
+        at_stamps(&DMatrix::from_vec(samples, run.joints(), widths))
     });
     let kept = edge as f64..=(samples - 1 - edge) as f64;
     // A time stamp is not exact to the last digit.
     let at_end = run.data.t.iter().map(|&t| !kept.contains(&((place(t) * 1e6).round() / 1e6))).collect();
-    Ok(Predicted { torques, at_end, rms })
+    Ok(Predicted { torques, at_end, rms, half_widths })
 }
 
 /// Nearest physically consistent bodies in the metric of the covariance; `None`, with a warning, on failure.

@@ -13,7 +13,7 @@ use crate::report::{
     MotionUsage, Report, Validation,
 };
 use crate::setup::programme::{Motion, Programme, Role};
-use crate::store::{ModelFile, Provenance, Validated};
+use crate::store::{ModelFile, Provenance, Validated, uncertainty_of};
 use plumbline_core::threads;
 use plumbline_diagnose::errors::Of;
 use plumbline_excite::PlanUsage;
@@ -73,14 +73,14 @@ impl Results {
         self.recorded.push(recorded);
     }
 
-    /// Identifies the model from the identification motions; writes `model.toml` and returns its text.
+    /// Identifies the model from the identification motions and writes `model.toml`; returns the text to offer to the daemon.
     pub fn identify(&mut self) -> Result<String, Failure> {
         let runs = self.runs(Role::Identify);
         let identified = pipeline::identify(&self.robot, &runs, &TERMS, &self.settings, &self.job.solver())?;
-        let text = self.model_file(&identified, Vec::new(), None).to_toml();
-        crate::atomic::write_result(&self.out.join("model.toml"), text.as_bytes())?;
+        let file = self.model_file(&identified, Vec::new(), None);
+        crate::atomic::write_result(&self.out.join("model.toml"), file.to_toml().as_bytes())?;
         self.model = Some(identified);
-        Ok(text)
+        Ok(file.served_toml())
     }
 
     /// The model and the first run that it was identified from.
@@ -209,6 +209,7 @@ impl Results {
             model: identified.model.clone(),
             noise_floor: identified.identification.rms.noise_floor.clone().unwrap_or_default(),
             validation,
+            uncertainty: uncertainty_of(&identified.identification, &identified.model),
             consistent: pipeline::real_bodies(identified),
             provenance: crate::analysis::provenance(&self.robot, hash),
         }
@@ -307,7 +308,7 @@ pub fn report_of(identified: &Identified, mounting: Mounting, provenance: &Prove
     Report {
         robot: identified.model.robot().to_string(),
         mounting: mounting.into(),
-        base: Base::of(&identified.model),
+        base: Base::of(&identified.model).with_intervals(&identification.interval_95()),
         identify: Fit {
             rms: identification.rms.raw.clone(),
             rms_raw: identification.rms.raw.clone(),

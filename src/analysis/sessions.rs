@@ -97,6 +97,7 @@ impl Reference<'_> {
             model: stored.with(&kept, session).map_err(Failure::job)?,
             noise_floor: self.noise_floor.to_vec(),
             validation: Vec::new(),
+            uncertainty: None,
             consistent: None,
             provenance: Provenance { source: Some(source), ..crate::analysis::provenance(self.robot, None) },
         };

@@ -140,6 +140,7 @@ pub fn run(options: Options) -> Result<(), Failure> {
                     rms: rms.filtered.clone(),
                 })
                 .collect(),
+            uncertainty: None,
             consistent: None,
             provenance: Provenance {
                 source: Some(since),

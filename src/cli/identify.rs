@@ -9,7 +9,7 @@ use crate::failure::Failure;
 use crate::process::progress;
 use crate::report::figures::{Curves, Figures};
 use crate::report::{Band, Consistency, Report, Validation};
-use crate::store::{ModelFile, Validated};
+use crate::store::{ModelFile, Validated, uncertainty_of};
 use clap::Args;
 use plumbline_core::{BadInput, parallel, threads};
 use plumbline_identify::solve::Estimator;
@@ -153,6 +153,7 @@ impl Outcome<'_> {
                 })
                 .collect(),
             noise_floor: report.noise_floor.clone(),
+            uncertainty: uncertainty_of(&identified.identification, &identified.model),
             consistent,
             model: identified.model,
             provenance,

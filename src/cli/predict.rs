@@ -9,7 +9,7 @@ use crate::setup::models;
 use crate::store::ModelFile;
 use clap::Args;
 use plumbline_core::BadInput;
-use plumbline_identify::Settings;
+use plumbline_identify::{Settings, TorqueUncertainty};
 use plumbline_model::{Mounting, TorqueModel};
 use std::fmt::Write;
 use std::path::PathBuf;
@@ -22,7 +22,8 @@ pub struct Options {
     /// Recorded motion: a CSV file with columns t, q1..qn and, to compare with, tau1..taun
     run: PathBuf,
     /// CSV file to write: t, tau1..taun and at_end, one row per sample. at_end is 1 near both ends of the motion, where the acceleration
-    /// depends on how the filter continues the motion past its end; elsewhere 0
+    /// depends on how the filter continues the motion past its end; elsewhere 0. A model file with the key `uncertainty` adds tau1_low,
+    /// tau1_high .. taun_low, taun_high: the 95 % prediction interval of one measured sample
     #[arg(long, value_name = "FILE")]
     out: PathBuf,
     /// Mounting of that motion: upright, wall, ceiling, or RHO,PHI with units; by default that of the dataset.toml beside the
@@ -43,7 +44,7 @@ pub struct Options {
 /// Writes the predicted torques and prints the error against measured torques, if there are any.
 pub fn run(options: Options) -> Result<(), Failure> {
     let (file, _) = models::load(&options.model)?;
-    let model = &chosen(&options, &file)?;
+    let (model, uncertainty) = &chosen(&options, &file)?;
     let run = motion(&options, model)?;
     if let Err(refused) = model.valid_in(&run.data.mounting)
         && !options.force
@@ -54,34 +55,50 @@ pub fn run(options: Options) -> Result<(), Failure> {
     }
     let measured_velocities = pipeline::measured_velocities(&options.velocities)?;
     let settings = Settings { measured_velocities, ..Settings::default() };
-    let Predicted { torques, at_end, rms } = pipeline::predict(model, &run, &settings)?;
+    let predicted = pipeline::predict(model, uncertainty.as_ref(), &run, &settings)?;
+    let coverage = predicted.coverage(&run.data.tau);
+    let Predicted { torques, at_end, rms, half_widths } = predicted;
     let mut text = String::from("t");
     for j in 1..=run.joints() {
         write!(text, ",tau{j}").expect("a string takes everything");
     }
-    text.push_str(",at_end\n");
+    text.push_str(",at_end");
+    for j in (1..=run.joints()).filter(|_| half_widths.is_some()) {
+        write!(text, ",tau{j}_low,tau{j}_high").expect("a string takes everything");
+    }
+    text.push('\n');
     for (k, t) in run.data.t.iter().enumerate() {
         write!(text, "{t}").expect("a string takes everything");
         for j in 0..run.joints() {
             write!(text, ",{}", torques[(k, j)]).expect("a string takes everything");
         }
-        writeln!(text, ",{}", u8::from(at_end[k])).expect("a string takes everything");
+        write!(text, ",{}", u8::from(at_end[k])).expect("a string takes everything");
+        if let Some(half_widths) = &half_widths {
+            for (torque, half) in torques.row(k).iter().zip(&half_widths.row(k)) {
+                write!(text, ",{},{}", torque - half, torque + half).expect("a string takes everything");
+            }
+        }
+        text.push('\n');
     }
     crate::atomic::write_result(&options.out, text.as_bytes())?;
     if let Some(rms) = rms {
         let list = |values: &[f64]| values.iter().map(|value| format!("{value:.3}")).collect::<Vec<_>>().join(" ");
         say!("RMS of measured minus predicted torque [Nm]: raw {} | filtered {}", list(&rms.raw), list(&rms.filtered));
     }
+    if let Some(coverage) = coverage {
+        let percent: Vec<String> = coverage.iter().map(|share| format!("{:.1}", 100.0 * share)).collect();
+        say!("measured torques within the 95 % prediction interval [%]: {}", percent.join(" "));
+    }
     let ends = at_end.iter().filter(|at_end| **at_end).count();
     say!("{}: {} samples, {ends} of them marked `at_end`", options.out.display(), run.samples());
     Ok(())
 }
 
-/// The identified model, or its physically consistent projection.
-fn chosen(options: &Options, file: &ModelFile) -> Result<TorqueModel, Failure> {
+/// The identified model with its uncertainty, or its physically consistent projection, whose uncertainty is unknown where the parameters moved.
+fn chosen(options: &Options, file: &ModelFile) -> Result<(TorqueModel, Option<TorqueUncertainty>), Failure> {
     let model = &file.model;
     if !options.consistent {
-        return Ok(model.clone());
+        return Ok((model.clone(), file.uncertainty.clone()));
     }
     let Some(nearest) = &file.consistent else {
         let expected = "a model file with a [consistent] block, as `plumbline identify` and `run` write it";
@@ -90,7 +107,8 @@ fn chosen(options: &Options, file: &ModelFile) -> Result<TorqueModel, Failure> {
     };
     let values: Vec<(f64, Option<f64>)> = nearest.beta.iter().map(|&value| (value, None)).collect();
     let (structure, mountings) = (model.structure().clone(), model.mountings().to_vec());
-    TorqueModel::new(model.robot(), structure, mountings, &values).map_err(Failure::job)
+    let projection = TorqueModel::new(model.robot(), structure, mountings, &values).map_err(Failure::job)?;
+    Ok((projection, file.uncertainty.clone().filter(|_| nearest.exact)))
 }
 
 /// The motion with its mounting: from `--mounting`, else from the dataset of the file, else from the model.

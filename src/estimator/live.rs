@@ -347,6 +347,7 @@ impl Live {
             model,
             noise_floor: self.noise_floor.clone(),
             validation: Vec::new(),
+            uncertainty: None,
             consistent: None,
             provenance: Provenance { source: Some(source), ..crate::analysis::provenance(&self.robot, None) },
         };

@@ -251,12 +251,15 @@ fn parameters(report: &Report) -> Vec<Value> {
         // Decimals that match the standard deviation.
         let decimals =
             p.std.filter(|std| *std > 0.0).map_or(4, |std| (1 - std.log10().floor() as i32).clamp(0, 9) as usize);
+        let end = |k: usize| p.interval_95.map_or("-".to_string(), |ends| format!("{:.decimals$}", ends[k]));
         let relative = p.std.filter(|_| p.value != 0.0).map(|std| 100.0 * std / p.value.abs());
         context! {
             symbol => &p.symbol,
             name => &p.name,
             value => format!("{:.decimals$}", p.value),
             std => p.std.map_or("-".to_string(), |std| format!("{std:.decimals$}")),
+            from => end(0),
+            to => end(1),
             relative => relative.map_or("-".to_string(), |percent| if percent < 1000.0 { digits(percent) } else { "> 1000".into() }),
             unit => &p.unit,
             expression => &p.expression,

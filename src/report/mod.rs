@@ -134,6 +134,17 @@ impl Base {
         base
     }
 
+    /// With the 95 % confidence intervals of the parameters, from half their widths in the order of the model.
+    pub fn with_intervals(mut self, half_widths: &[Option<f64>]) -> Base {
+        for (parameter, half_width) in self.parameters.iter_mut().zip(half_widths) {
+            let value = parameter.value;
+            parameter.interval_95 = half_width
+                .map(|half| [value - half, value + half])
+                .filter(|ends| ends.iter().all(|end| end.is_finite()));
+        }
+        self
+    }
+
     /// Parameters that are all base parameters; `kind` is `GBS` or `VBS`.
     pub fn new(kind: impl ToString, parameters: &[Parameter]) -> Base {
         let facts = |parameter: &Parameter| ParameterFacts {
@@ -142,6 +153,7 @@ impl Base {
             expression: parameter.column.expression.clone(),
             value: parameter.value,
             std: parameter.std,
+            interval_95: None,
             relative_std: parameter.std.map(|std| std / parameter.value.abs()).filter(|ratio| ratio.is_finite()),
             unit: parameter.column.unit.to_string(),
         };
@@ -161,6 +173,9 @@ pub struct ParameterFacts {
     pub value: f64,
     /// Standard deviation where known, in `unit`.
     pub std: Option<f64>,
+    /// 95 % confidence interval where known, in `unit`: from, to.
+    #[serde(default)]
+    pub interval_95: Option<[f64; 2]>,
     /// Standard deviation over size, where both are known and the value is not zero.
     #[serde(default)]
     pub relative_std: Option<f64>,

@@ -1,8 +1,9 @@
 //! `model.toml`: an identified model with its uncertainty, validation and provenance.
 
-use super::consistent;
+use super::{consistent, uncertainty};
 use crate::atomic;
 use plumbline_core::{BadInput, from_toml};
+use plumbline_identify::TorqueUncertainty;
 use plumbline_identify::consistency::Nearest;
 use plumbline_model::{BaseKind, Chain, Mounting, NamedEffect, NamedTerm, TorqueModel};
 use serde::Deserialize;
@@ -16,6 +17,9 @@ pub struct ModelFile {
     /// Noise floor of the measured torque, per joint \[Nm\]; empty where unknown.
     pub noise_floor: Vec<f64>,
     pub validation: Vec<Validated>,
+    /// Covariance of these parameters and residual of the identification. `None` where unknown: of parameters that were not identified here, and of a
+    /// stored model with changes, whose errors depend on those of the stored parameters.
+    pub uncertainty: Option<TorqueUncertainty>,
     /// Physically consistent bodies with these parameters, or the nearest ones; `None` if not computed.
     pub consistent: Option<Nearest>,
     pub provenance: Provenance,
@@ -64,6 +68,7 @@ struct Raw {
     terms: Vec<RawTerm>,
     #[serde(default)]
     validation: Vec<Validated>,
+    uncertainty: Option<uncertainty::Raw>,
     consistent: Option<consistent::Raw>,
     #[serde(default)]
     provenance: Provenance,
@@ -170,11 +175,14 @@ impl ModelFile {
             BadInput::new(file, "[[term]]", error, expected)
         })?;
         check_units(file, &raw, &model)?;
+        let names: Vec<&str> =
+            raw.terms.iter().flat_map(|term| &term.parameters).map(|own| own.name.as_str()).collect();
+        let uncertainty = raw.uncertainty.as_ref().map(|raw| raw.check(file, &names, &model)).transpose()?;
         let consistent = raw.consistent.map(|raw| raw.check(file, &model)).transpose()?;
         // Checked last: other errors are more specific.
         check_content(file, text, &head)?;
         let Raw { noise_floor, validation, provenance, .. } = raw;
-        Ok(ModelFile { model, noise_floor, validation, consistent, provenance })
+        Ok(ModelFile { model, noise_floor, validation, uncertainty, consistent, provenance })
     }
 
     pub fn load(path: &Path, chain_of: impl FnOnce(&str) -> Result<Chain, BadInput>) -> Result<ModelFile, BadInput> {
@@ -182,6 +190,11 @@ impl ModelFile {
         let text = std::fs::read_to_string(path)
             .map_err(|error| BadInput::new(&file, "file", error, "a readable model file"))?;
         ModelFile::parse(&file, &text, chain_of)
+    }
+
+    /// The text that a daemon is offered: without the uncertainty, which the loop has no use for.
+    pub fn served_toml(&self) -> String {
+        ModelFile { uncertainty: None, ..self.clone() }.to_toml()
     }
 
     pub fn save(&self, path: &Path) -> std::io::Result<()> {

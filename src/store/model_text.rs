@@ -58,6 +58,9 @@ fn write(file: &ModelFile) -> String {
     for Validated { run, rho, phi, rms } in &file.validation {
         line(format_args!("\n[[validation]]\nrun = {}\nrho = {rho:?}\nphi = {phi:?}\nrms = {rms:?}", quoted(run)));
     }
+    if let Some(found) = &file.uncertainty {
+        super::uncertainty::write(&mut line, model, found);
+    }
     if let Some(found) = &file.consistent {
         super::consistent::write(&mut line, model, found);
     }

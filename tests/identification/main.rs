@@ -12,6 +12,7 @@ mod export_peers;
 mod mounting_check;
 mod paper;
 mod plausibility;
+mod prediction_intervals;
 mod real_data;
 mod report_diagnosis;
 mod report_files;

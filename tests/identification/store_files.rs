@@ -1,9 +1,10 @@
 //! Model and plan files: bit-exact round trips, and every wrong number refused by name.
 
-use nalgebra::Vector3;
+use nalgebra::{DMatrix, Vector3};
 use plumbline::store::*;
 use plumbline_core::BadInput;
 use plumbline_excite::{Constraints, Margins, Plan, PlanUsage, parse_plan, plan_text};
+use plumbline_identify::{Spread, TorqueUncertainty};
 use plumbline_model::term::Sample;
 use plumbline_model::{BaseKind, Chain, Conditions, Mounting, Reduction, Robot, Structure, TorqueModel};
 use rand::{Rng, SeedableRng};
@@ -22,8 +23,10 @@ fn made_up(kind: BaseKind) -> ModelFile {
         |_| (rng.random_range(-1.0..1.0_f64) * 10f64.powi(rng.random_range(-7..2)), Some(rng.random_range(0.0..0.1)));
     let values: Vec<_> = (0..structure.columns().len()).map(draw).collect();
     let mounting = if kind == BaseKind::Gbs { Mounting { rho: 1.1, phi: -0.3 } } else { Mounting::UPRIGHT };
+    let model = TorqueModel::new("panda", structure, vec![mounting], &values).unwrap();
     ModelFile {
-        model: TorqueModel::new("panda", structure, vec![mounting], &values).unwrap(),
+        uncertainty: Some(uncertainty(&model, &mut rng)),
+        model,
         noise_floor: vec![0.1 + 0.2; 7],
         validation: vec![Validated { run: "a \"b\" \\ c".into(), rho: 0.1, phi: 0.2, rms: vec![1.0 / 3.0; 7] }],
         consistent: None,
@@ -33,6 +36,23 @@ fn made_up(kind: BaseKind) -> ModelFile {
             ..Provenance::default()
         },
     }
+}
+
+/// Random correlations with the standard deviations of the model.
+fn uncertainty(model: &TorqueModel, rng: &mut ChaCha8Rng) -> TorqueUncertainty {
+    let std: Vec<f64> = model.parameters().iter().map(|own| own.std.unwrap()).collect();
+    let p = std.len();
+    let factor = DMatrix::<f64>::from_fn(p, p, |_, _| rng.random_range(-1.0..1.0));
+    let product = &factor * factor.transpose();
+    let covariance = DMatrix::from_fn(p, p, |c, d| {
+        let (c, d) = (c.max(d), c.min(d));
+        let scale = (product[(c, c)] * product[(d, d)]).sqrt();
+        if c == d { std[c] * std[c] } else { std[c] * std[d] * product[(c, d)] / scale }
+    });
+    let mut freedom: Vec<f64> = (0..p).map(|_| rng.random_range(3.0..300.0)).collect();
+    freedom[4] = f64::INFINITY;
+    let residual_std = (0..7).map(|_| rng.random_range(0.1..0.3)).collect();
+    TorqueUncertainty { parameters: Spread { covariance, freedom }, residual_std, residual_freedom: 1234.5 }
 }
 
 fn parse(text: &str) -> Result<ModelFile, String> {
@@ -52,6 +72,11 @@ fn a_model_file_round_trips_bitwise() {
         assert_eq!(read.noise_floor, written.noise_floor);
         assert_eq!((&read.validation, &read.provenance), (&written.validation, &written.provenance));
         assert_eq!(read.to_toml(), written.to_toml());
+        let [read_too, written_too] = [&read, &written].map(|file| file.uncertainty.as_ref().unwrap());
+        assert_eq!(read_too.parameters.covariance, written_too.parameters.covariance);
+        assert_eq!(read_too.parameters.freedom, written_too.parameters.freedom);
+        assert_eq!(read_too.residual_std, written_too.residual_std);
+        assert_eq!(read_too.residual_freedom, written_too.residual_freedom);
         // The second route: the same torque, not only the same numbers.
         let gravity = Vector3::new(1.0, -2.0, 9.0);
         let sample = Sample { q: [0.3; 8], dq: [-0.7; 8], ddq: [2.0; 8] };
@@ -95,6 +120,102 @@ fn every_wrong_model_is_refused_by_name() {
     ];
     for (message, expected) in cases {
         assert!(message.starts_with("model.toml: ") || message.contains("pandu"), "{message}");
+        assert!(message.contains(expected), "`{message}` does not say `{expected}`");
+    }
+}
+
+/// A text without the line of its hash, as a table.
+fn table(text: &str) -> toml::Table {
+    let mut table: toml::Table = toml::from_str(text).unwrap();
+    table.remove("content").unwrap();
+    table
+}
+
+fn block(table: &mut toml::Table) -> &mut toml::Table {
+    table["uncertainty"].as_table_mut().unwrap()
+}
+
+fn list(value: &mut toml::Value) -> &mut Vec<toml::Value> {
+    value.as_array_mut().unwrap()
+}
+
+#[test]
+fn a_model_without_uncertainty_is_read_and_offered() {
+    let file = made_up(BaseKind::Gbs);
+    let text = file.served_toml();
+    assert!(!text.contains("uncertainty") && text.len() < file.to_toml().len() / 2);
+    let read = parse(&text).unwrap();
+    assert!(read.uncertainty.is_none());
+    assert_eq!(read.model.parameters(), file.model.parameters());
+    assert_eq!(read.to_toml(), text);
+}
+
+#[test]
+fn the_covariance_is_in_the_order_of_the_file() {
+    let file = made_up(BaseKind::Gbs);
+    let mut reordered = table(&file.to_toml());
+    // The parameters of the friction, the second term, in reverse.
+    let first = file.model.terms()[0].1.len();
+    let count = file.model.terms()[1].1.len();
+    let mut order: Vec<usize> = (0..file.model.parameters().len()).collect();
+    order[first..first + count].reverse();
+    list(&mut list(&mut reordered["term"])[1]["parameters"]).reverse();
+    let parsed = |table: &toml::Table| parse(&toml::to_string(table).unwrap());
+    assert!(parsed(&reordered).unwrap_err().contains("the square of its std"), "rows of other parameters");
+    let block = block(&mut reordered);
+    let freedom = block["freedom"].as_array().unwrap().clone();
+    block["freedom"] = order.iter().map(|&c| freedom[c].clone()).collect::<Vec<_>>().into();
+    let own = &file.uncertainty.as_ref().unwrap().parameters;
+    let row = |c: usize| (0..=c).map(|d| own.covariance[(order[c], order[d])].into()).collect::<Vec<toml::Value>>();
+    block["covariance"] = (0..order.len()).map(row).collect::<Vec<_>>().into();
+    let read = parsed(&reordered).unwrap().uncertainty.unwrap();
+    assert_eq!((read.parameters.covariance, read.parameters.freedom), (own.covariance.clone(), own.freedom.clone()));
+}
+
+#[test]
+fn every_wrong_uncertainty_is_refused_by_name() {
+    let text = made_up(BaseKind::Gbs).to_toml();
+    let spoil = |spoil: &dyn Fn(&mut toml::Table)| {
+        let mut table = table(&text);
+        spoil(block(&mut table));
+        parse(&toml::to_string(&table).unwrap()).map(|_| ()).expect_err("a refusal")
+    };
+    let entry = |row: usize, column: usize, value: f64| {
+        spoil(&|block| list(&mut list(&mut block["covariance"])[row])[column] = value.into())
+    };
+    // Three parameters cannot be pairwise opposed.
+    let opposed = spoil(&|block| {
+        let rows = list(&mut block["covariance"]);
+        let mut entry = |row: usize, column: usize| list(&mut rows[row])[column].as_float().unwrap();
+        let std = [0, 1, 2].map(|c| entry(c, c).sqrt());
+        for (row, column) in [(1, 0), (2, 0), (2, 1)] {
+            list(&mut rows[row])[column] = (-0.9 * std[row] * std[column]).into();
+        }
+    });
+    let cases = [
+        (spoil(&|block| list(&mut block["residual-std"]).truncate(6)), "key `residual-std`: got 6 values, expected 7"),
+        (spoil(&|block| list(&mut block["residual-std"])[2] = (-0.1).into()), "key `residual-std[2]`: got -0.1"),
+        (
+            spoil(&|block| block["residual-freedom"] = 0.0.into()),
+            "key `residual-freedom`: got 0, expected degrees of freedom, 1 or more",
+        ),
+        (spoil(&|block| list(&mut block["freedom"]).push(1.0.into())), "key `freedom`: got 72 values, expected 71"),
+        (spoil(&|block| list(&mut block["freedom"])[3] = f64::NAN.into()), "key `freedom[3]`: got NaN"),
+        (spoil(&|block| list(&mut block["covariance"]).truncate(70)), "key `covariance`: got 70 rows, expected 71"),
+        (
+            spoil(&|block| list(&mut list(&mut block["covariance"])[2]).truncate(2)),
+            "key `covariance[2]`: got 2 values, expected 3, the parameters up to ly1",
+        ),
+        (entry(2, 0, f64::NAN), "key `covariance of ly1 and Lzz1`: got NaN, expected a finite number"),
+        (entry(2, 2, -1e-9), "key `covariance of ly1 and ly1`: got -0.000000001, expected a variance"),
+        (entry(2, 2, 0.5), "key `covariance of ly1 and ly1`: got 0.5, expected "),
+        (entry(2, 1, 0.5), "key `covariance of ly1 and lx1`: got 0.5, expected at most "),
+        (opposed, "expected a positive semi-definite matrix"),
+        (spoil(&|block| drop(block.remove("freedom"))), "missing field `freedom`"),
+        (spoil(&|block| drop(block.insert("mean".into(), 1.0.into()))), "mean"),
+    ];
+    for (message, expected) in cases {
+        assert!(message.starts_with("model.toml: ") && message.contains("uncertainty"), "{message}");
         assert!(message.contains(expected), "`{message}` does not say `{expected}`");
     }
 }

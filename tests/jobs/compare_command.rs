@@ -107,6 +107,9 @@ fn a_payload_is_reported_and_part_of_the_written_model() {
     assert!(diagnosis.effects.is_empty() && diagnosis.verdict.to_string() == "nothing significant", "{printed}");
     let text = |name: &str| std::fs::read_to_string(dir.join(name).join("model.toml")).unwrap();
     assert_eq!(text("before"), text("same-out"));
+    // The covariance is that of the identified parameters, not of the changed ones.
+    let certain = |name: &str| !text(name).contains("[uncertainty]");
+    assert_eq!(["before", "same-out", "after", "free-out"].map(certain), [false, false, true, true]);
 }
 
 #[test]
@@ -144,6 +147,8 @@ fn diagnose_compares_later_sessions_with_the_first() {
         text.split(' ').map(|value| value.parse::<f64>().unwrap()).fold(0.0, f64::max)
     };
     assert!(rms("out/model.toml") > 1.0 && rms("out/model-session-2.toml") < 0.1);
+    let has = |name: &str| std::fs::read_to_string(dir.join("out").join(name)).unwrap().contains("[uncertainty]");
+    assert!(has("model.toml") && !has("model-session-2.toml"));
 }
 
 #[test]

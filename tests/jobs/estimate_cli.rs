@@ -73,7 +73,13 @@ fn every_estimator_and_both_methods_run_from_the_command_line() {
     let text = std::fs::read_to_string(&path).unwrap();
     assert_eq!(text.matches("restricted to zero").count(), restricted.len());
     let chain = |_: &str| Ok(scene.structure.chain().clone());
-    assert_eq!(ModelFile::load(&path, chain).unwrap().model.parameters().len(), 59);
+    let file = ModelFile::load(&path, chain).unwrap();
+    assert_eq!(file.model.parameters().len(), 59);
+    // What was taken out has no variance.
+    let covariance = file.uncertainty.unwrap().parameters.covariance;
+    for (c, own) in file.model.parameters().iter().enumerate() {
+        assert_eq!(own.std.is_some(), covariance[(c, c)] > 0.0, "{}", own.column.name);
+    }
 }
 
 #[test]

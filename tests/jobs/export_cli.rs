@@ -24,7 +24,14 @@ fn put(dir: &Path, name: &str, text: &str) -> PathBuf {
 }
 
 fn file(model: TorqueModel, consistent: Option<Nearest>) -> ModelFile {
-    ModelFile { model, noise_floor: vec![], validation: vec![], consistent, provenance: Provenance::default() }
+    ModelFile {
+        model,
+        noise_floor: vec![],
+        validation: vec![],
+        uncertainty: None,
+        consistent,
+        provenance: Provenance::default(),
+    }
 }
 
 #[test]

@@ -79,7 +79,8 @@ fn the_payload_is_found_and_the_served_error_recovers() {
     // The loop was not disturbed by any of it.
     let cycle = place.report().control_loop.unwrap();
     assert_eq!((cycle.lost, cycle.dropped_records, cycle.allocations()), (0, 0, Some(0)));
-    assert!(place.out().join("model-live.toml").is_file());
+    let has = |name: &str| std::fs::read_to_string(place.out().join(name)).unwrap().contains("[uncertainty]");
+    assert!(has("model.toml") && !has("model-live.toml"));
 }
 
 #[test]

@@ -2,6 +2,7 @@
 
 use plumbline::report::Report;
 use plumbline::store::ModelFile;
+use plumbline_identify::solve::student_975;
 use plumbline_model::Robot;
 use plumbline_testkit::job::*;
 use plumbline_testkit::sim::arm;
@@ -30,11 +31,12 @@ fn predict(place: &Place, run: &str) -> (Vec<Vec<f64>>, Vec<f64>) {
     (csv(&out), raw.split(' ').map(|value| value.parse().unwrap()).collect())
 }
 
-/// Rows of a CSV file of numbers; the header's columns are named `t`, then one `tau` per joint, then `at_end`.
+/// Rows of a CSV file of numbers; the header's columns are named `t`, then one `tau` per joint, then `at_end`, then the interval of each joint.
 fn csv(path: &Path) -> Vec<Vec<f64>> {
     let text = std::fs::read_to_string(path).unwrap();
     let mut lines = text.lines();
-    assert_eq!(lines.next(), Some("t,tau1,tau2,tau3,tau4,tau5,tau6,tau7,at_end"));
+    let interval: String = (1..=7).map(|j| format!(",tau{j}_low,tau{j}_high")).collect();
+    assert_eq!(lines.next().unwrap(), format!("t,tau1,tau2,tau3,tau4,tau5,tau6,tau7,at_end{interval}"));
     lines.map(|line| line.split(',').map(|cell| cell.parse().unwrap()).collect()).collect()
 }
 
@@ -138,8 +140,13 @@ fn leaves_files_that_work(place: &Place, report: &Report) {
     let html = std::fs::read_to_string(place.out().join("report.html")).unwrap();
     assert!(html.contains("<svg") && html.trim_end().ends_with("</html>"));
     let file = ModelFile::load(&place.out().join("model.toml"), |name| Ok(Robot::load(name, None)?.chain)).unwrap();
-    for (written, reported) in file.model.parameters().iter().zip(&report.base.parameters) {
+    let uncertainty = file.uncertainty.as_ref().unwrap();
+    for (c, (written, reported)) in file.model.parameters().iter().zip(&report.base.parameters).enumerate() {
         assert_eq!((&written.column.name, written.value, written.std), (&reported.name, reported.value, reported.std));
+        let half = student_975(uncertainty.parameters.freedom[c]) * uncertainty.parameters.covariance[(c, c)].sqrt();
+        let [low, high] = reported.interval_95.unwrap();
+        let difference = (reported.value - half - low).abs().max((reported.value + half - high).abs());
+        assert!(difference < 1e-9 * half, "{}: {low} {high}", reported.name);
     }
 
     // The model predicts a run of the dataset offline as well as the job said, on the wall and upright.

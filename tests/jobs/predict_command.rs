@@ -1,11 +1,13 @@
 //! `plumbline predict`: the torques in its file belong to the time stamps beside them.
 
 use nalgebra::DMatrix;
+use plumbline::dataset::{self, Dataset, Role};
 use plumbline::store::ModelFile;
 use plumbline_model::term::Motion;
 use plumbline_model::{Mounting, Robot};
 use plumbline_testkit::job::*;
-use plumbline_testkit::logs;
+use plumbline_testkit::scene::lab::{self, Noise, Period};
+use plumbline_testkit::{logs, sim};
 use rand::{Rng, SeedableRng};
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
@@ -131,4 +133,100 @@ fn the_file_has_the_errors_that_the_program_prints() {
         // The program counts samples of the even grid, the file those of the recording.
         assert!((of_file - printed).abs() < 0.01 * printed + 0.002, "joint {}: {of_file} {printed}", j + 1);
     }
+}
+
+/// Rows of a CSV file as columns by name.
+fn columns(path: &Path) -> std::collections::BTreeMap<String, Vec<f64>> {
+    let text = std::fs::read_to_string(path).unwrap();
+    let mut lines = text.lines();
+    let names: Vec<&str> = lines.next().unwrap().split(',').collect();
+    let mut columns = vec![Vec::new(); names.len()];
+    for line in lines {
+        let cells = line.split(',').map(|cell| cell.parse().unwrap());
+        columns.iter_mut().zip(cells).for_each(|(column, cell): (&mut Vec<f64>, f64)| column.push(cell));
+    }
+    names.into_iter().map(str::to_string).zip(columns).collect()
+}
+
+/// One run of a dataset: every second sample of a recording.
+fn thinned(period: &Period, truth: &plumbline_sim::Truth, periods: usize, noise: Noise, seed: u64) -> dataset::Run {
+    let run = period.record(truth, periods, noise, seed);
+    let rows: Vec<usize> = (0..run.t.len()).step_by(2).collect();
+    let data = plumbline_identify::Run {
+        name: format!("{}.csv", run.name),
+        t: rows.iter().map(|&k| run.t[k]).collect(),
+        q: run.q.select_rows(&rows),
+        tau: run.tau.select_rows(&rows),
+        ..run
+    };
+    dataset::Run::new(data, if period.name.starts_with('v') { Role::Validate } else { Role::Identify })
+}
+
+/// Identifies a model from two motions of a simulated arm, predicts an unseen third one, and gives the share of its measured torques in the interval, per
+/// joint, from the file.
+fn coverage_on_unseen_motion(place: &Place, motions: &[Period; 3], noise: Noise, seed: u64) -> Vec<f64> {
+    let truth = sim::arm("sim-panda");
+    let run = |(k, (motion, periods)): (usize, (&Period, usize))| {
+        thinned(motion, &truth, periods, noise, 10 * seed + k as u64)
+    };
+    let runs: Vec<dataset::Run> = motions.iter().zip([3, 3, 1]).enumerate().map(run).collect();
+    let measured = runs[2].data.clone();
+    let (source, mounting) = (toml::Table::new(), Mounting::WALL);
+    let folder = place.path().join("dataset");
+    Dataset { name: "intervals".into(), robot: "panda".into(), mounting, source, runs }.write(&folder).unwrap();
+    let (model, out) = (place.path().join("model"), place.path().join("tau.csv"));
+    Done::of(plumbline().arg("identify").arg(&folder).arg("--out").arg(&model)).expect_code(0);
+    let mut predict = plumbline();
+    predict.arg("predict").arg(model.join("model.toml")).arg(folder.join(&measured.name)).arg("--out").arg(&out);
+    let done = Done::of(predict).expect_code(0);
+
+    let file = columns(&out);
+    let of = |name: String| &file[&name];
+    let counted: Vec<usize> = (0..measured.t.len()).filter(|&k| of("at_end".into())[k] == 0.0).collect();
+    let share = |j: usize| {
+        let (tau, low, high) =
+            (of(format!("tau{}", j + 1)), of(format!("tau{}_low", j + 1)), of(format!("tau{}_high", j + 1)));
+        assert!(counted.iter().all(|&k| (0.5 * (low[k] + high[k]) - tau[k]).abs() < 1e-9 && low[k] < high[k]));
+        counted.iter().filter(|&&k| (low[k]..=high[k]).contains(&measured.tau[(k, j)])).count() as f64
+            / counted.len() as f64
+    };
+    let coverage: Vec<f64> = (0..JOINTS).map(share).collect();
+    let printed = done.out.split("prediction interval [%]: ").nth(1).expect("a line").lines().next().unwrap();
+    let expected: Vec<String> = coverage.iter().map(|share| format!("{:.1}", 100.0 * share)).collect();
+    assert_eq!(printed, expected.join(" "));
+    coverage
+}
+
+#[test]
+fn prediction_intervals_hold_the_torques_of_unseen_motion() {
+    let place = Place::new("predict-intervals");
+    let (truth, chain) = (sim::arm("sim-panda"), sim::panda());
+    let [identify, validate] = lab::plans();
+    let plans = [("identify-1", &identify[0]), ("identify-2", &identify[1]), ("validate-1", &validate[0])];
+    let motions = plans.map(|(name, plan)| lab::period(&chain, &truth, plan, Mounting::WALL, name));
+    for seed in 0..4 {
+        let coverage = coverage_on_unseen_motion(&place, &motions, Noise::default(), seed);
+        println!("white noise, seed {seed}: {coverage:.3?}");
+        assert!(coverage.iter().all(|share| (0.93..0.97).contains(share)), "seed {seed}: {coverage:?}");
+    }
+    let mut all = Vec::new();
+    for seed in 0..4 {
+        let coverage = coverage_on_unseen_motion(&place, &motions, Noise { coloured: 0.15 }, seed);
+        println!("with coloured noise, seed {seed}: {coverage:.3?}");
+        all.extend(coverage);
+    }
+    println!("with coloured noise: {:.3} of all", mean(&all));
+    // Half of the noise's variance and more has a correlation time of 0.3 s: 10 s of it are some 17 independent values, so the share scatters by about 0.02.
+    assert!((0.935..0.965).contains(&mean(&all)) && all.iter().all(|share| *share > 0.88), "{all:?}");
+}
+
+#[test]
+fn a_model_without_uncertainty_gets_no_interval() {
+    let place = Place::new("predict-no-interval");
+    let run = place.path().join("run.csv");
+    recorded(&run, &(0..2000).map(|k| 0.001 * k as f64).collect::<Vec<_>>());
+    let out = place.path().join("tau.csv");
+    let done = Done::of(plumbline().args(["predict", MODEL]).arg(&run).arg("--out").arg(&out)).expect_code(0);
+    assert!(!done.out.contains("interval"), "{}", done.out);
+    assert!(!columns(&out).keys().any(|name| name.contains("_low") || name.contains("_high")));
 }

@@ -7,6 +7,7 @@
 //! |---|---|
 //! | signal processing | [`Experiment`], [`Settings`], [`signal`] |
 //! | estimators: OLS, WLS, Huber, TLS, IV | [`solve`] |
+//! | prediction intervals of torques | [`TorqueUncertainty`] |
 //! | recursive least squares (not used by the program yet) | [`streaming`] |
 //! | nearest physically consistent parameters | [`consistency`] |
 //! | mounting and direction of gravity from torques | [`cross_check`], [`direction()`] |
@@ -51,6 +52,7 @@ mod experiment;
 mod mounting_check;
 mod periods;
 mod plausibility;
+mod prediction;
 mod run;
 mod settings;
 mod settling;
@@ -66,6 +68,7 @@ pub use experiment::{Experiment, Repeats};
 pub use mounting_check::{Disagreement, GravitySource, ImpliedGravity, cross_check, implied_gravity};
 pub use periods::Scatter;
 pub use plausibility::{Implausible, plausible};
+pub use prediction::TorqueUncertainty;
 pub use run::Run;
 pub use settings::{Derivative, ExcludedSpan, Method, Settings};
 pub use validate::{Modelled, Rms, compare, torques, validate, validate_parameters};

@@ -3,6 +3,7 @@
 //!
 //! A case is given by a seed and a number alone. `examples/fuzz_files.rs` runs the same cases for as long as one likes.
 
+use nalgebra::DMatrix;
 use plumbline::config::job::Job;
 use plumbline::dataset::{Dataset, Run};
 use plumbline::store::ModelFile;
@@ -10,6 +11,7 @@ use plumbline::store::export::tree::Tree;
 use plumbline_core::BadInput;
 use plumbline_excite::parse_plan;
 use plumbline_franka::limits_from_urdf;
+use plumbline_identify::{Spread, TorqueUncertainty};
 use plumbline_model::term::Sample;
 use plumbline_model::{Mounting, Robot};
 use plumbline_sim::Truth;
@@ -67,13 +69,33 @@ impl Files {
             all("config/robots"),
             all("config/arms"),
             all("config/plans"),
-            all("config/models"),
+            with_uncertainty(all("config/models")),
             vec![manifest.to_string()],
             vec![csv],
             vec![urdf()],
         ];
         Files { texts, robot: Robot::load("panda", None).unwrap() }
     }
+}
+
+/// These models, and the first with an uncertainty; without its hash, which would refuse every change.
+fn with_uncertainty(mut texts: Vec<String>) -> Vec<String> {
+    let chain = |name: &str| Ok(Robot::load(name, None)?.chain);
+    let mut model = ModelFile::parse("shipped model", &texts[0], chain).expect("a shipped model");
+    let p = model.model.parameters().len();
+    let covariance = DMatrix::from_fn(p, p, |c, d| if c == d { 1e-4 } else { 1e-6 });
+    let parameters = Spread { covariance, freedom: vec![30.0; p] };
+    let uncertainty = TorqueUncertainty { parameters, residual_std: vec![0.1; 7], residual_freedom: 5e3 };
+    model.uncertainty = Some(uncertainty);
+    texts.push(
+        model
+            .to_toml()
+            .lines()
+            .filter(|line| !line.starts_with("content"))
+            .map(|line| line.to_string() + "\n")
+            .collect(),
+    );
+    texts
 }
 
 /// A description as an FR3 serves it, in outline.
@@ -141,6 +163,9 @@ fn read(bench: &Bench, target: usize, bytes: &[u8]) -> Result<(), String> {
             let model = ModelFile::parse(file, &text, chain).map_err(words)?;
             // A model of numbers that are too large is for the guard to stop, not for the evaluator to fall over.
             model.model.evaluator(&Mounting::WALL.gravity()).torque(&Sample { q: [0.3; 8], ..Sample::default() });
+            if let Some(uncertainty) = model.uncertainty {
+                uncertainty.half_widths(&DMatrix::from_element(7, model.model.parameters().len(), 1.0));
+            }
             Ok(())
         }
         "dataset" | "csv" => {
