@@ -6,6 +6,8 @@ use plumbline_identify::{ExcludedSpan, Experiment, Repeats};
 
 /// Robust standard deviations that make an outlier.
 const MIN_DEVIATIONS: f64 = 6.5;
+/// Least outlier of a position in steps of its encoder: a period that differs by one step is not off.
+const MIN_STEPS: f64 = 2.5;
 /// Samples on either side of the running median.
 const MEDIAN_SAMPLES: usize = 2;
 /// Samples left out on either side of an outlier.
@@ -46,24 +48,25 @@ pub(super) fn hygiene(experiment: &Experiment, masked: &[bool]) -> (Hygiene, Vec
     };
     let samples = experiment.motion.samples();
     let mut spoiled = vec![false; repeats.tau.nrows()];
-    let mut count = |values: &DMatrix<f64>| -> Vec<usize> {
-        let of_joint = |column: &[f64]| {
-            let rows = outliers(column, samples, masked);
+    let mut count = |values: &DMatrix<f64>, resolution: &[f64]| -> Vec<usize> {
+        let of_joint = |(joint, column): (usize, &[f64])| {
+            let step = resolution.get(joint).copied().unwrap_or(0.0);
+            let rows = outliers(column, samples, masked, MIN_STEPS * step);
             for row in &rows {
                 let last = (row + MARGIN_SAMPLES + 1).min(spoiled.len());
                 spoiled[row.saturating_sub(MARGIN_SAMPLES)..last].fill(true);
             }
             rows.len()
         };
-        values.as_slice().chunks(values.nrows()).map(of_joint).collect()
+        values.as_slice().chunks(values.nrows()).enumerate().map(of_joint).collect()
     };
-    found.torques = count(&repeats.tau);
-    found.positions = count(&repeats.q);
+    found.torques = count(&repeats.tau, &[]);
+    found.positions = count(&repeats.q, &experiment.resolution);
     (found, left_out(experiment, repeats, &spoiled, samples))
 }
 
-/// Rows of a column of deviations that stick out of their neighbours, and of the same samples of the other periods.
-fn outliers(column: &[f64], samples: usize, masked: &[bool]) -> Vec<usize> {
+/// Rows of a column of deviations that stick out of their neighbours, and of the same samples of the other periods, by more than `least`.
+fn outliers(column: &[f64], samples: usize, masked: &[bool], least: f64) -> Vec<usize> {
     let x = from_median(column.to_vec(), samples);
     let (mut high, mut rough) = (vec![0.0; x.len()], vec![0.0; x.len()]);
     for row in MEDIAN_SAMPLES..x.len() - MEDIAN_SAMPLES {
@@ -81,11 +84,9 @@ fn outliers(column: &[f64], samples: usize, masked: &[bool]) -> Vec<usize> {
     let (_, &mut most, _) = sizes.select_nth_unstable_by(most, f64::total_cmp);
     let scale = f64::max(1.4826 * deviation, most / 1.96);
     let spread = scale / (1.0 + 1.0 / (2 * MEDIAN_SAMPLES) as f64).sqrt();
-    let sticks: Vec<bool> = high
-        .iter()
-        .enumerate()
-        .map(|(row, value)| spread > 0.0 && value.abs() > MIN_DEVIATIONS * spread && !masked[row])
-        .collect();
+    let least = least.max(MIN_DEVIATIONS * spread);
+    let sticks = |(row, value): (usize, &f64)| spread > 0.0 && value.abs() > least && !masked[row];
+    let sticks: Vec<bool> = high.iter().enumerate().map(sticks).collect();
     let single =
         super::transient::stretches(&sticks).into_iter().filter(|(first, last)| last - first <= MAX_OUTLIER_SAMPLES);
     single.flat_map(|(first, last)| first..last).collect()

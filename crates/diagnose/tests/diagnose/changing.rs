@@ -326,6 +326,15 @@ fn single_samples_that_are_off_are_counted_and_left_out() {
     assert!(found.drifts.is_empty() && found.contacts.is_empty() && found.transients.is_empty());
 }
 
+#[test]
+fn a_step_of_a_coarse_encoder_is_no_outlier() {
+    // Steps of 10 mrad: every 31st sample of an otherwise exact recording is one step off.
+    let mut runs = recorded(1, 12, |_, _| {});
+    runs[0].q.apply(|q| *q = (*q * 1e2).round() / 1e2);
+    (0..runs[0].q.nrows()).step_by(31).for_each(|row| runs[0].q[(row, 1)] += 1e-2);
+    assert_eq!(found(&runs).hygiene[0].positions, [0; 7]);
+}
+
 /// Ten periods of the simulated arm with effects of its own, after one that nobody records.
 fn driven(effects: &str, seed: u64) -> Run {
     let stage = stage();
