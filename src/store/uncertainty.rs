@@ -1,7 +1,7 @@
 //! The `[uncertainty]` block of `model.toml`: covariance of the parameters and residual of the identification.
 
 use nalgebra::DMatrix;
-use plumbline_core::BadInput;
+use plumbline_core::{BadInput, symmetric_eigen};
 use plumbline_identify::solve::Identification;
 use plumbline_identify::{Spread, TorqueUncertainty};
 use plumbline_model::{Parameter, TorqueModel};
@@ -91,9 +91,10 @@ fn check(found: &TorqueUncertainty, model: &TorqueModel) -> Result<(), Wrong> {
         let expected = format!("at most {:?}, the product of their standard deviations", scale[c] * scale[d]);
         return wrong(format!("covariance of {first} and {second}"), covariance[(c, d)].to_string(), &expected);
     }
-    let eigenvalues = correlation.symmetric_eigenvalues();
-    if eigenvalues.min() < -ROUNDING * eigenvalues.max().max(0.0) {
-        let found = format!("a matrix whose correlations have the eigenvalue {:e}", eigenvalues.min());
+    let eigenvalues = symmetric_eigen(correlation).map(|eigen| eigen.eigenvalues);
+    let (least, largest) = eigenvalues.map_or((f64::NEG_INFINITY, 0.0), |values| (values.min(), values.max()));
+    if least < -ROUNDING * largest.max(0.0) {
+        let found = format!("a matrix whose correlations have the eigenvalue {least:e}");
         return wrong("covariance".into(), found, "a positive semi-definite matrix");
     }
     Ok(())

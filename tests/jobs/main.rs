@@ -21,7 +21,6 @@ mod plan_command;
 mod plan_robots;
 mod power_cut;
 mod predict_command;
-mod readme;
 mod reference_pages;
 mod run_identity;
 mod undeclared_effect;
