@@ -162,9 +162,7 @@ fn a_terminal_that_closes_stops_the_arm_once() {
     let daemon = wait_for("the daemon", || children(run.pid(), "daemon").first().copied());
     let estimator = wait_for("the estimator", || children(run.pid(), "estimator").first().copied());
     in_motion(&place);
-    for pid in [run.pid(), daemon, estimator] {
-        signal(pid, "HUP");
-    }
+    signal_all(&[run.pid(), daemon, estimator], "HUP");
     let done = run.end().expect_code(1);
     assert!(
         done.err.contains("interrupted, signal SIGHUP arrived") || done.err.contains("ended during the job"),

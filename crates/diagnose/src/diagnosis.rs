@@ -4,6 +4,7 @@ use super::Settings;
 use super::curves;
 use super::delivery::Delivery;
 use super::detectable;
+use super::deviations::Deviations;
 use super::disagreement::disagreements;
 use super::errors::Of;
 use super::evidence::{Evidence, Trial};
@@ -17,7 +18,7 @@ use super::outcome::{
 };
 use super::parts::{self, Named};
 use super::select::{Scored, Search, Selected, Step};
-use super::state::{State, every};
+use super::state::State;
 use super::unseen::{Unseen, columns_of};
 use nalgebra::DVector;
 use plumbline_identify::solve::identify_with;
@@ -294,6 +295,7 @@ fn effects_of(
     after: &Fitted,
 ) -> Vec<Effect> {
     let state = &selected.state;
+    let deviations = Deviations::of(search, state);
     let mut effects = Vec::new();
     for (index, (item, found)) in state.items.iter().zip(&selected.found).enumerate() {
         let in_model = withheld[index].is_none();
@@ -308,12 +310,13 @@ fn effects_of(
         };
         let estimate = |(k, column): (usize, &plumbline_model::term::Column)| {
             let (value, std) = delivered(&column.name).filter(|_| in_model).unwrap_or_else(|| fitted(k));
+            let std = std.map(|std| std * deviations.growth(state, state.range(index).start + k));
             Quantity { std, ..Quantity::new(&column.name, value, column.unit) }
         };
         let linear: Vec<Quantity> = names.iter().enumerate().map(estimate).collect();
         let joint = found.relevance.joint;
         let effect = Effect {
-            parameters: Parameters(settings_of(search, state, index).into_iter().chain(linear.clone()).collect()),
+            parameters: Parameters(settings_of(item, index, &deviations).into_iter().chain(linear.clone()).collect()),
             adequacy: adequacy[joint],
             explained_share: Some(found.relevance.share[joint].max(0.0)),
             confirmed: confirmed[index],
@@ -332,36 +335,14 @@ fn effects_of(
     parts::together(effects, friction)
 }
 
-/// Nonlinear parameters with standard deviations from the curvature of the likelihood about them.
-fn settings_of(search: &Search, state: &State, index: usize) -> Vec<Quantity> {
-    let item = &state.items[index];
+/// Nonlinear parameters of an effect.
+fn settings_of(item: &Candidate, index: usize, deviations: &Deviations) -> Vec<Quantity> {
     let Some(form) = item.spec.family().ok().and_then(|family| family.form(item.spec.form)) else { return Vec::new() };
-    let rest = state.without(&search.problem, index);
-    let likelihood = |which: usize, share: f64| {
-        let mut moved = item.spec.clone();
-        let setting = &form.settings[which];
-        moved.settings[which] = setting.at(share).clamp(setting.low, setting.high);
-        let moved = super::library::Candidate::of(search.problem.evidence, search.operating_point, moved, item.since)?;
-        let cross = rest.columns.cross(search.problem.evidence, &moved.rows);
-        Some(search.problem.gain(&rest.fit, &cross, &every, None)?.evidence)
+    let estimate = |(which, (setting, value)): (usize, (&effect::Setting, &f64))| {
+        let std = deviations.of_setting(index, which);
+        Quantity { std, ..Quantity::new(setting.name, *value, setting.unit) }
     };
-    let estimate = |(which, setting): (usize, &effect::Setting)| {
-        let value = item.spec.settings[which];
-        let share = setting.share(value);
-        let h = 0.25 * setting.spacing();
-        let std = (|| {
-            let (low, high) = ((share - h).max(0.0), (share + h).min(1.0));
-            let middle = 0.5 * (low + high);
-            let bend = likelihood(which, low)? - 2.0 * likelihood(which, middle)? + likelihood(which, high)?;
-            let step = 0.5 * (high - low);
-            // The evidence is twice the log likelihood: 1 / variance is minus half of its second derivative.
-            let variance = -2.0 * step * step / bend;
-            let slope = (setting.at((share + 1e-4).min(1.0)) - setting.at((share - 1e-4).max(0.0))) / 2e-4;
-            (variance > 0.0).then(|| variance.sqrt() * slope.abs())
-        })();
-        Quantity { std, ..Quantity::new(setting.name, value, setting.unit) }
-    };
-    form.settings.iter().enumerate().map(estimate).collect()
+    form.settings.iter().zip(&item.spec.settings).enumerate().map(estimate).collect()
 }
 
 fn facts(evidence: &Evidence, settings: &Settings, joint: usize, base: &State, after: &State) -> JointFacts {

@@ -22,8 +22,6 @@ const POOLED_ROWS: f64 = 30.0;
 const MAX_WEIGHT_ROUNDS: usize = 12;
 /// Change of their logarithm at which they have settled.
 const SETTLED_LOG_RATIO: f64 = 0.02;
-/// Largest over-dispersion of a group, as a multiple of that in the fit with equal weights: its residual may grow to twice as much.
-const MAX_GROWTH_RATIO: f64 = 4.0;
 
 /// Which folds count.
 pub type Chosen<'a> = &'a dyn Fn(usize) -> bool;
@@ -130,37 +128,15 @@ impl Problem<'_> {
     }
 
     /// Fits a model to the chosen folds, with weights that settle from `phi` on.
-    ///
-    /// The likelihood has an optimum in which a whole group is given up: its over-dispersion grows without bound, its weight goes to zero and the
-    /// others are fitted to the noise. So no group may become worse than [`MAX_GROWTH_RATIO`] allows.
     pub fn fit(&self, moments: &Moments, chosen: Chosen, phi: Option<&[f64]>) -> Fit {
-        let equal = vec![1.0; self.groups()];
-        let fit = self.settled(moments, chosen, phi.unwrap_or(&equal), None);
-        if !self.evidence.repeats() || fit.phi.iter().all(|phi| *phi <= MAX_GROWTH_RATIO) {
-            return fit;
-        }
-        let limits: Vec<f64> =
-            self.weighted(moments, chosen, &equal).phi.iter().map(|phi| MAX_GROWTH_RATIO * phi).collect();
-        if fit.phi.iter().zip(&limits).all(|(phi, limit)| phi <= limit) {
-            return fit;
-        }
-        self.settled(moments, chosen, &limits, Some(&limits))
-    }
-
-    /// Fits until the weights, the over-dispersion up to `limits`, have settled.
-    fn settled(&self, moments: &Moments, chosen: Chosen, phi: &[f64], limits: Option<&[f64]>) -> Fit {
-        let limited = |fit: &Fit| match limits {
-            Some(limits) => fit.phi.iter().zip(limits).map(|(phi, limit)| phi.min(*limit)).collect(),
-            None => fit.phi.clone(),
-        };
-        let mut fit = self.weighted(moments, chosen, phi);
+        let phi = phi.map_or_else(|| vec![1.0; self.groups()], <[f64]>::to_vec);
+        let mut fit = self.weighted(moments, chosen, &phi);
         for _ in 1..MAX_WEIGHT_ROUNDS {
-            let next = limited(&fit);
             let settled = |(new, old): (&f64, &f64)| (new / old).ln().abs() < SETTLED_LOG_RATIO;
-            if next.iter().zip(&fit.weights).all(settled) {
+            if fit.phi.iter().zip(&fit.weights).all(settled) {
                 break;
             }
-            fit = self.weighted(moments, chosen, &next);
+            fit = self.weighted(moments, chosen, &fit.phi);
         }
         fit
     }

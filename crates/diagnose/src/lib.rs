@@ -36,6 +36,7 @@ pub mod changing;
 mod curves;
 mod delivery;
 mod detectable;
+mod deviations;
 mod diagnosis;
 mod disagreement;
 pub mod errors;

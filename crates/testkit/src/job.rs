@@ -308,8 +308,14 @@ impl Capture {
 }
 
 pub fn signal(pid: u32, name: &str) {
-    let status = Command::new("kill").arg(format!("-{name}")).arg(pid.to_string()).status().unwrap();
-    assert!(status.success(), "kill -{name} {pid}");
+    signal_all(&[pid], name);
+}
+
+/// Sends a signal to several processes at once: one may end because another does.
+pub fn signal_all(pids: &[u32], name: &str) {
+    let pids: Vec<String> = pids.iter().map(u32::to_string).collect();
+    let status = Command::new("kill").arg(format!("-{name}")).args(&pids).status().unwrap();
+    assert!(status.success(), "kill -{name} {pids:?}");
 }
 
 /// A shell with mounts of its own that executes `script`.
