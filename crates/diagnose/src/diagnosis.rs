@@ -77,7 +77,7 @@ pub fn diagnose(input: &Input, settings: &Settings, progress: &dyn Fn(&Step)) ->
     let columns = columns_of(&evidence, structure, input.identify);
     let base = State::base(&Problem { evidence: &evidence, prior: None }, columns);
     // Columns that depend on the load need parameters: first those of the plain model.
-    let operating_point = structure.operating_point(base.fit.theta.as_slice());
+    let operating_point = evidence.operating_point(structure, base.fit.theta.as_slice());
     let candidates = library(&evidence, &operating_point, &repeatable(), None, settings.threads);
     let problem = Problem { evidence: &evidence, prior: None };
     let search = Search { problem, operating_point: &operating_point, library: &candidates, settings };
@@ -213,7 +213,7 @@ fn scores(selected: &Selected, effects: &[Effect]) -> Vec<Score> {
 fn relinearise(structure: &Structure, search: &Search, state: &mut State) -> Option<OperatingPoint> {
     let mut settled = None;
     for _ in 0..MAX_RELINEARISATIONS {
-        let operating_point = structure.operating_point(state.fit.theta.as_slice());
+        let operating_point = search.problem.evidence.operating_point(structure, state.fit.theta.as_slice());
         let Some(moved) = search.at(&operating_point).relinearised(state) else { break };
         let gain = 2.0 * (moved.fit.likelihood - state.fit.likelihood);
         if gain <= 0.0 {

@@ -9,6 +9,7 @@
 use super::fold::{BLOCK_LIMITS_S, Fold, Thinned, Thinning, folds_of};
 use nalgebra::{DMatrix, DVector};
 use plumbline_identify::Experiment;
+use plumbline_model::term::effect::OperatingPoint;
 use plumbline_model::term::{Motion, Term};
 use plumbline_model::{Chain, Structure};
 use std::ops::Range;
@@ -150,6 +151,11 @@ impl Evidence {
     pub fn regressor(&self, structure: &Structure, trials: &[Trial]) -> Vec<DMatrix<f64>> {
         let width = structure.columns().len();
         self.of_samples(|index| structure.regressor(&trials[index].experiment.motion), width)
+    }
+
+    /// The operating point of candidates at these parameters of a structure.
+    pub fn operating_point(&self, structure: &Structure, beta: &[f64]) -> OperatingPoint {
+        structure.operating_point(beta).known_along(self.motions.iter().flat_map(|own| [&own.whole, &own.few]))
     }
 
     /// Columns of a term at the rate of candidates, in the folds of sessions from `since` on where that is given.
@@ -315,8 +321,7 @@ fn noise(trials: &[Trial], folds: &[Fold], joint: usize, repeats: bool) -> Vec<f
             sigma.extend(fold.frequencies.iter().map(|_| 1.0));
             continue;
         }
-        let own = &trials[fold.experiment].experiment.scatter;
-        let periods = own.as_ref().map_or(1, |scatter| scatter.periods) as f64;
+        let periods = trials[fold.experiment].experiment.averaged_periods() as f64;
         for &frequency in &fold.frequencies {
             let (mut power, mut weight) = (0.0, 0.0);
             for scatter in trials.iter().filter_map(|trial| trial.experiment.scatter.as_ref()) {

@@ -447,6 +447,6 @@ impl<'a> Search<'a> {
 }
 
 /// A value between the setting's limits, whatever rounding does.
-fn inside(setting: &Setting, share: f64) -> f64 {
+pub(super) fn inside(setting: &Setting, share: f64) -> f64 {
     setting.at(share.clamp(0.0, 1.0)).clamp(setting.low, setting.high)
 }

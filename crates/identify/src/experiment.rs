@@ -70,8 +70,6 @@ pub struct Experiment {
     comparison_differentiator: Differentiator,
     /// Samples cut off each end of the grid.
     edge: usize,
-    /// First sample of the grid in the run, after the skipped periods.
-    first: usize,
     /// Indices of the periods that are in the mean; none without a period.
     periods: Vec<usize>,
     /// Weights of their samples in the mean.
@@ -96,7 +94,6 @@ struct Even {
     /// Positions, torques and, where used, measured velocities, N x 2n or N x 3n.
     values: DMatrix<f64>,
     sampling: Sampling,
-    first: usize,
     /// Whether the run is periodic.
     periodic: bool,
     /// Indices of the periods that are used.
@@ -135,7 +132,6 @@ impl Experiment {
             let even = Even {
                 values: even.values,
                 sampling: even.sampling,
-                first: 0,
                 periodic: false,
                 periods: Vec::new(),
                 weights: Vec::new(),
@@ -189,7 +185,6 @@ impl Experiment {
             weights,
             values: averaged.mean,
             sampling: even.sampling,
-            first,
             periodic: true,
             scatter: averaged.scatter,
             deviations: averaged.deviations,
@@ -200,7 +195,7 @@ impl Experiment {
     }
 
     fn build(run: &Run, settings: &Settings, even: Even) -> Result<Experiment, SignalError> {
-        let Even { values, sampling, first, periodic, periods, weights, scatter, deviations, counted, settling } = even;
+        let Even { values, sampling, periodic, periods, weights, scatter, deviations, counted, settling } = even;
         let (n, samples, dt) = (run.joints(), values.nrows(), sampling.dt);
         let rate = 1.0 / dt;
         let filter = Butterworth::new(settings.order, settings.torque_cutoff, rate)?;
@@ -263,7 +258,6 @@ impl Experiment {
             differentiator,
             comparison_differentiator,
             edge,
-            first,
             periods,
             weights,
         };
@@ -361,7 +355,7 @@ impl Experiment {
         let even = resample(t, q_d, Some(self.sampling.dt)).map_err(signal)?;
         let samples = self.q.nrows();
         let short = SignalError::Shape { what: "desired positions", found: even.values.nrows(), expected: samples };
-        let end = self.periods.last().map_or(self.first, |period| period * samples) + samples;
+        let end = self.periods.last().map_or(0, |period| period * samples) + samples;
         if even.values.nrows() < end {
             return Err(signal(short));
         }
@@ -369,7 +363,7 @@ impl Experiment {
             let rows = self.periods.iter().flat_map(|period| period * samples..(period + 1) * samples);
             mean(&even.values.select_rows(&rows.collect::<Vec<_>>()), &self.weights, samples)
         } else {
-            even.values.rows(self.first, samples).into_owned()
+            even.values.rows(0, samples).into_owned()
         };
         self.desired = Some(self.differentiator.motion(&grid, self.edge));
         Ok(self)
@@ -408,6 +402,11 @@ impl Experiment {
         let (count, n) = self.motion.q.shape();
         let rest = self.q.rows(self.edge, count) - &self.motion.q;
         (0..n).map(|j| (rest.column(j).norm_squared() / (count as f64 * share)).sqrt()).collect()
+    }
+
+    /// Number of periods that the mean is of; 1 without repeats.
+    pub fn averaged_periods(&self) -> usize {
+        self.scatter.as_ref().map_or(1, |scatter| scatter.periods)
     }
 
     /// Number of joints, n.

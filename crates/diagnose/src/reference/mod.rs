@@ -140,7 +140,7 @@ pub fn among(
     let problem = Problem { evidence: &evidence, prior: Some(&prior) };
     let base = State::base(&problem, Columns { m, r });
     let before = left_over(&evidence, &base, &DVector::zeros(beta.len()));
-    let operating_point = structure.operating_point(&beta);
+    let operating_point = evidence.operating_point(structure, &beta);
     let mut library = library::library(&evidence, &operating_point, families, None, settings.threads);
     library.extend(since_sessions(&evidence, &operating_point, families, settings.threads));
     let search = Search { problem, operating_point: &operating_point, library: &library, settings };
@@ -170,7 +170,7 @@ pub fn between_sessions(
     let problem = Problem { evidence: &evidence, prior: None };
     let base = State::base(&problem, columns);
     let before = left_over(&evidence, &base, &base.fit.theta);
-    let operating_point = structure.operating_point(base.fit.theta.as_slice());
+    let operating_point = evidence.operating_point(structure, base.fit.theta.as_slice());
     let library = since_sessions(&evidence, &operating_point, &families(), settings.threads);
     let search = Search { problem, operating_point: &operating_point, library: &library, settings };
     let (least, lacking) = (least(&search, &base), lack(&evidence, &base));
