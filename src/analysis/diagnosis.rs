@@ -45,7 +45,14 @@ pub fn run(question: &Question) -> Result<Diagnosed, Failure> {
     let (identify, unseen) = (trials(&identify, question.identify), trials(&unseen, question.unseen));
     // One run accepts or refuses findings, the others measure them; a single one measures.
     let (veto, judge) = unseen.split_at(usize::from(unseen.len() > 1));
-    let input = Input { structure: question.structure, identify: &identify, veto, judge, options: question.options };
+    let input = Input {
+        structure: question.structure,
+        identify: &identify,
+        veto,
+        judge,
+        options: question.options,
+        parts: &variation.spans(&identify),
+    };
     bar.at(0.1, "searching");
     let share = std::cell::Cell::new(0.2);
     let settings = plumbline_diagnose::Settings { judged_by: question.of, ..question.diagnosis.clone() };
@@ -76,7 +83,7 @@ impl Question<'_> {
             let (find, judge) = split::find_and_judge(&[run], &mut Vec::new());
             let prepare = |runs: &[Run]| pipeline::experiments(&runs.iter().collect::<Vec<_>>(), self.settings);
             let (find, judge) = (prepare(&find)?, prepare(&judge)?);
-            let trials: Vec<Trial> = find.iter().map(|experiment| Trial { experiment, session: 1 }).collect();
+            let trials = Trial::in_turn(&find);
             let changes = reference::changes(model, &trials, self.diagnosis, &|_| {});
             let judge: Vec<(&Experiment, u32)> = judge.iter().map(|experiment| (experiment, 1)).collect();
             let held = Stored { model, changes: &changes.effects }.held(&judge).map_err(Failure::job)?;
@@ -97,7 +104,9 @@ impl Question<'_> {
 }
 
 pub fn trials<'a>(experiments: &'a [Experiment], runs: &[&Run]) -> Vec<Trial<'a>> {
-    experiments.iter().zip(runs).map(|(experiment, run)| Trial { experiment, session: run.session }).collect()
+    let trial =
+        |(experiment, run): (&'a Experiment, &&Run)| Trial { experiment, session: run.session, start: run.start };
+    experiments.iter().zip(runs).map(trial).collect()
 }
 
 /// The runs to identify from without events that happened once, with the noise of the rest; what differs between their periods; and the unseen runs.

@@ -11,7 +11,7 @@
 use super::evidence::Rows;
 use super::fit::inverse;
 use super::library::Candidate;
-use super::select::Search;
+use super::select::{Search, inside};
 use super::state::State;
 use nalgebra::DMatrix;
 use plumbline_model::term::effect::Spec;
@@ -24,17 +24,14 @@ pub(super) struct Deviations {
     covariance: DMatrix<f64>,
     /// First column of the settings of each effect.
     first: Vec<usize>,
-    /// Number of linear parameters.
-    linear: usize,
 }
 
 impl Deviations {
     /// Of a fitted state; a setting whose derivative can't be computed is held.
     pub fn of(search: &Search, state: &State) -> Deviations {
-        let linear = state.fit.theta.len();
         let mut columns = state.columns.clone();
         let mut first = Vec::new();
-        let mut next = linear;
+        let mut next = state.fit.theta.len();
         for (index, item) in state.items.iter().enumerate() {
             first.push(next);
             for setting in 0..item.spec.settings.len() {
@@ -45,22 +42,18 @@ impl Deviations {
         }
         let evidence = search.problem.evidence;
         let information = search.problem.information(&columns.moments(evidence), &state.fit.weights);
-        Deviations { covariance: inverse(&information), first, linear }
-    }
-
-    fn std(&self, column: usize) -> Option<f64> {
-        let variance = self.covariance[(column, column)];
-        (variance > 0.0).then(|| variance.sqrt())
+        Deviations { covariance: inverse(&information), first }
     }
 
     /// Of a setting of an effect; `None` where the data does not determine it.
     pub fn of_setting(&self, item: usize, setting: usize) -> Option<f64> {
-        self.std(self.first[item] + setting)
+        let column = self.first[item] + setting;
+        let variance = self.covariance[(column, column)];
+        (variance > 0.0).then(|| variance.sqrt())
     }
 
     /// Ratio of a linear parameter's deviation to that with the settings held; 1 or more.
     pub fn growth(&self, state: &State, column: usize) -> f64 {
-        debug_assert!(column < self.linear, "a linear parameter");
         let held = state.fit.h[(column, column)];
         if held > 0.0 { (self.covariance[(column, column)] / held).max(1.0).sqrt() } else { 1.0 }
     }
@@ -73,14 +66,13 @@ fn slope(search: &Search, state: &State, index: usize, which: usize) -> Option<R
     let setting = &form.settings[which];
     let share = setting.share(item.spec.settings[which]);
     let step = STEP_RATIO * setting.spacing();
-    let values = [share - step, share + step].map(|share| setting.at(share.clamp(0.0, 1.0)));
-    let [low, high] = values.map(|value| value.clamp(setting.low, setting.high));
+    let [low, high] = [share - step, share + step].map(|share| inside(setting, share));
     let beta = state.fit.theta.rows(state.range(index).start, item.rows.width);
     let torque = |value: f64| {
         let mut settings = item.spec.settings.clone();
         settings[which] = value;
         let spec = Spec { settings, ..item.spec.clone() };
-        let moved = Candidate::of(search.problem.evidence, search.operating_point, spec, item.since)?;
+        let moved = Candidate::of(search.problem.evidence, search.operating_point, spec, item.span)?;
         Some(moved.rows.parts.into_iter().map(|(joint, part)| (joint, part * beta)).collect::<Vec<_>>())
     };
     let (below, above) = (torque(low)?, torque(high)?);

@@ -43,7 +43,7 @@ pub fn disagreements(
             continue;
         }
         let model = Unseen::of_model(&of_run, fitted, trials);
-        let periods = trial.experiment.scatter.as_ref().map_or(1, |scatter| scatter.periods) as f64;
+        let periods = trial.experiment.averaged_periods() as f64;
         let joint = |joint: usize| {
             let square = mean_square(&of_run, joint, &model.residual(joint, &beta));
             let parameters = model.variance(joint, &fitted.identification.covariance);
@@ -67,7 +67,7 @@ fn noise_of_period(evidence: &Evidence, trials: &[Trial], joint: usize) -> f64 {
         return 0.0;
     }
     let square = |fold: &super::Fold| {
-        let periods = trials[fold.experiment].experiment.scatter.as_ref().map_or(1, |scatter| scatter.periods) as f64;
+        let periods = trials[fold.experiment].experiment.averaged_periods() as f64;
         periods * evidence.sigma(joint)[fold.rows.clone()].iter().map(|sigma| sigma * sigma).sum::<f64>()
     };
     evidence.folds().iter().map(square).sum::<f64>() / evidence.samples()

@@ -10,6 +10,7 @@ use super::signal::butterworth::Butterworth;
 use super::signal::resample::{Sampling, resample};
 use super::signal::spectral::Spectral;
 use super::signal::{SignalError, decimation};
+use super::timeline::Timeline;
 use nalgebra::DMatrix;
 use plumbline_model::term::Motion;
 use std::f64::consts::PI;
@@ -56,6 +57,8 @@ pub struct Experiment {
     pub sampling: Sampling,
     /// Time at the start of the first period that is excluded, because the motion did not repeat yet \[s\].
     pub settling: f64,
+    /// When the samples of the grid were recorded.
+    pub timeline: Timeline,
     /// Samples of the grid at which the whole arm is at rest, or that the settings exclude.
     resting: Vec<bool>,
     /// Samples of the grid that enter the regression.
@@ -70,12 +73,6 @@ pub struct Experiment {
     comparison_differentiator: Differentiator,
     /// Samples cut off each end of the grid.
     edge: usize,
-    /// First sample of the grid in the run, after the skipped periods.
-    first: usize,
-    /// Indices of the periods that are in the mean; none without a period.
-    periods: Vec<usize>,
-    /// Weights of their samples in the mean.
-    weights: Vec<f64>,
 }
 
 /// Every period's deviation from the mean, P N rows, period below period. Excluded samples are zero.
@@ -96,7 +93,6 @@ struct Even {
     /// Positions, torques and, where used, measured velocities, N x 2n or N x 3n.
     values: DMatrix<f64>,
     sampling: Sampling,
-    first: usize,
     /// Whether the run is periodic.
     periodic: bool,
     /// Indices of the periods that are used.
@@ -135,7 +131,6 @@ impl Experiment {
             let even = Even {
                 values: even.values,
                 sampling: even.sampling,
-                first: 0,
                 periodic: false,
                 periods: Vec::new(),
                 weights: Vec::new(),
@@ -189,7 +184,6 @@ impl Experiment {
             weights,
             values: averaged.mean,
             sampling: even.sampling,
-            first,
             periodic: true,
             scatter: averaged.scatter,
             deviations: averaged.deviations,
@@ -200,7 +194,7 @@ impl Experiment {
     }
 
     fn build(run: &Run, settings: &Settings, even: Even) -> Result<Experiment, SignalError> {
-        let Even { values, sampling, first, periodic, periods, weights, scatter, deviations, counted, settling } = even;
+        let Even { values, sampling, periodic, periods, weights, scatter, deviations, counted, settling } = even;
         let (n, samples, dt) = (run.joints(), values.nrows(), sampling.dt);
         let rate = 1.0 / dt;
         let filter = Butterworth::new(settings.order, settings.torque_cutoff, rate)?;
@@ -255,6 +249,7 @@ impl Experiment {
             desired: None,
             sampling,
             settling,
+            timeline: Timeline { dt, samples: count, edge, periods, weights },
             resting: vec![false; count],
             kept: (0..count).step_by(step).collect(),
             filter,
@@ -263,9 +258,6 @@ impl Experiment {
             differentiator,
             comparison_differentiator,
             edge,
-            first,
-            periods,
-            weights,
         };
         experiment.exclude_rests(settings.rest);
         if !periodic {
@@ -296,7 +288,7 @@ impl Experiment {
     pub fn follow_own_motion(&mut self, predict: impl Fn(&Motion) -> DMatrix<f64>) {
         let Some(repeats) = &mut self.repeats else { return };
         let mean = self.comparison_motion.as_ref().unwrap_or(&self.motion);
-        let (samples, dt, periods) = (mean.samples(), mean.dt, repeats.periods.len());
+        let (samples, periods) = (mean.samples(), repeats.periods.len());
         // The periods follow each other, and the last does not adjoin the first.
         let differentiator = self.comparison_differentiator.aperiodic();
         let mut own = differentiator.motion(&repeats.q, 0);
@@ -316,10 +308,7 @@ impl Experiment {
             part -= own.rows(p * samples, samples) - &mean;
         }
         centre(&mut repeats.tau, &repeats.counted, samples);
-        if let Some(scatter) = &mut self.scatter {
-            scatter.power = Scatter::of(&repeats.tau, &repeats.counted, samples, dt).power;
-        }
-        self.noise = Some(NoiseOfMean::of(&repeats.tau, samples, dt, |f| self.filter.zero_phase_gain(f)));
+        self.noise_of_deviations();
     }
 
     /// Adds to [`Scatter::power`] what the resolution of the encoders does to the model's torque. A motion that repeats within one step of an encoder
@@ -361,15 +350,15 @@ impl Experiment {
         let even = resample(t, q_d, Some(self.sampling.dt)).map_err(signal)?;
         let samples = self.q.nrows();
         let short = SignalError::Shape { what: "desired positions", found: even.values.nrows(), expected: samples };
-        let end = self.periods.last().map_or(self.first, |period| period * samples) + samples;
+        let end = self.timeline.periods.last().map_or(0, |period| period * samples) + samples;
         if even.values.nrows() < end {
             return Err(signal(short));
         }
         let grid = if self.motion.periodic {
-            let rows = self.periods.iter().flat_map(|period| period * samples..(period + 1) * samples);
-            mean(&even.values.select_rows(&rows.collect::<Vec<_>>()), &self.weights, samples)
+            let rows = self.timeline.periods.iter().flat_map(|period| period * samples..(period + 1) * samples);
+            mean(&even.values.select_rows(&rows.collect::<Vec<_>>()), &self.timeline.weights, samples)
         } else {
-            even.values.rows(self.first, samples).into_owned()
+            even.values.rows(0, samples).into_owned()
         };
         self.desired = Some(self.differentiator.motion(&grid, self.edge));
         Ok(self)
@@ -408,6 +397,31 @@ impl Experiment {
         let (count, n) = self.motion.q.shape();
         let rest = self.q.rows(self.edge, count) - &self.motion.q;
         (0..n).map(|j| (rest.column(j).norm_squared() / (count as f64 * share)).sqrt()).collect()
+    }
+
+    /// Subtracts a torque from the periods' deviations, P N x n at the samples of [`Repeats`]: what is known to differ between the periods is no noise.
+    /// The mean is not changed. Nothing where the periods are not kept.
+    pub fn take_off_deviations(&mut self, torque: &DMatrix<f64>) {
+        let Some(repeats) = &mut self.repeats else { return };
+        repeats.tau -= torque;
+        let samples = self.motion.samples();
+        centre(&mut repeats.tau, &repeats.counted, samples);
+        self.noise_of_deviations();
+    }
+
+    /// [`Scatter::power`] and [`Experiment::noise`] of the periods' deviations as they are.
+    fn noise_of_deviations(&mut self) {
+        let Some(repeats) = &self.repeats else { return };
+        let (samples, dt) = (self.motion.samples(), self.motion.dt);
+        if let Some(scatter) = &mut self.scatter {
+            scatter.power = Scatter::of(&repeats.tau, &repeats.counted, samples, dt).power;
+        }
+        self.noise = Some(NoiseOfMean::of(&repeats.tau, samples, dt, |f| self.filter.zero_phase_gain(f)));
+    }
+
+    /// Number of periods that the mean is of; 1 without repeats.
+    pub fn averaged_periods(&self) -> usize {
+        self.scatter.as_ref().map_or(1, |scatter| scatter.periods)
     }
 
     /// Number of joints, n.

@@ -59,6 +59,7 @@ mod settling;
 pub mod signal;
 pub mod solve;
 pub mod streaming;
+mod timeline;
 mod validate;
 
 pub use covariance::Spread;
@@ -71,6 +72,7 @@ pub use plausibility::{Implausible, plausible};
 pub use prediction::TorqueUncertainty;
 pub use run::Run;
 pub use settings::{Derivative, ExcludedSpan, Method, Settings};
+pub use timeline::Timeline;
 pub use validate::{Modelled, Rms, compare, torques, validate, validate_parameters};
 
 /// Error of preparing runs and identifying parameters.

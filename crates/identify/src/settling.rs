@@ -63,13 +63,13 @@ fn settling_of(q: &[f64], left_out: &[bool], samples: usize, window: usize) -> u
 /// `None` where less than half of a window's samples can be compared.
 fn energies(q: &[f64], left_out: &[bool], samples: usize, window: usize, period: usize) -> Vec<Option<f64>> {
     let others: Vec<usize> = (1..q.len() / samples).filter(|&other| other != period).collect();
+    if others.is_empty() {
+        return vec![Some(0.0); samples.div_ceil(window)];
+    }
     let difference = |k: usize| {
         let row = period * samples + k;
         let used = others.iter().map(|other| other * samples + k).filter(|&row| !left_out[row]);
         let (sum, count) = used.fold((0.0, 0.0), |(sum, count), row| (sum + q[row], count + 1.0));
-        if others.is_empty() {
-            return Some(0.0);
-        }
         // The mean of few periods has noise of its own.
         (count > 0.0 && !left_out[row]).then(|| (q[row] - sum / count) / f64::sqrt(1.0 + 1.0 / count))
     };

@@ -104,7 +104,7 @@ pub fn compare(experiment: &Experiment, modelled: &Modelled) -> Rms {
         filtered,
         noise_floor: scatter.map(|scatter| scatter.std.clone()),
         filtered_noise_floor: scatter.map(|scatter| scatter.std_of_mean(|f| experiment.gain(f))),
-        samples: counted * scatter.map_or(1, |scatter| scatter.periods),
+        samples: counted * experiment.averaged_periods(),
     }
 }
 

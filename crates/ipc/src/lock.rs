@@ -176,19 +176,9 @@ impl StopCounter {
 }
 
 #[cfg(test)]
-pub(super) mod tests {
+mod tests {
     use super::*;
-
-    /// Takes a lock that was just released. A process that another test is starting has a copy of every descriptor from its fork to its exec.
-    pub fn take_released<T, E: std::fmt::Debug>(take: impl Fn() -> Result<T, E>) -> T {
-        let start = std::time::Instant::now();
-        loop {
-            match take() {
-                Err(_) if start.elapsed().as_secs() < 5 => std::thread::yield_now(),
-                taken => return taken.unwrap(),
-            }
-        }
-    }
+    use plumbline_testkit::memory::wait_for;
 
     #[test]
     fn the_error_of_a_second_daemon_names_the_first() {
@@ -204,7 +194,8 @@ pub(super) mod tests {
 
         assert!(lock.path().is_file());
         drop(lock);
-        take_released(|| Lock::take_in(directory.path(), &robot));
+        // Not at once: a process that another test is starting has a copy of every descriptor from its fork to its exec.
+        wait_for("the release of the lock", || Lock::take_in(directory.path(), &robot).is_ok());
     }
 
     #[test]
@@ -231,7 +222,12 @@ pub(super) mod tests {
             process.kill().unwrap();
             process.wait().unwrap();
         }
-        let again = take_released(|| Lock::take_in(directory.path(), &robot));
+        let mut again = None;
+        wait_for("the release of the lock", || {
+            again = Lock::take_in(directory.path(), &robot).ok();
+            again.is_some()
+        });
+        let again = again.unwrap();
         Lock::adopt_in(directory.path(), &robot).unwrap();
         // Nor where its file was replaced.
         fs::remove_file(again.path()).unwrap();

@@ -23,7 +23,9 @@ pub(super) struct Record<'a> {
     pub motion: Motion,
     /// Deviations of the torques from their mean, P N x n \[Nm\].
     pub tau: DMatrix<f64>,
-    /// Samples that don't count, P N.
+    /// Samples that are not in the mean, P N.
+    pub uncounted: Vec<bool>,
+    /// Samples that don't count, those and events, P N.
     pub masked: Vec<bool>,
 }
 
@@ -43,8 +45,9 @@ impl Record<'_> {
             ..of.clone()
         };
         let tau = blocks(&repeats.tau, step);
-        let masked = vec![false; tau.nrows()];
-        Some(Record { experiment, repeats, step, dt: motion.dt, samples: all / step, motion, tau, masked })
+        let uncounted: Vec<bool> = repeats.counted.chunks_exact(step).map(|rows| rows.contains(&false)).collect();
+        let masked = uncounted.clone();
+        Some(Record { experiment, repeats, step, dt: motion.dt, samples: all / step, motion, tau, uncounted, masked })
     }
 
     /// Number of joints, n.
@@ -62,6 +65,11 @@ impl Record<'_> {
         let period = self.repeats.periods[row / self.samples];
         let middle = (self.step - 1) as f64 / (2.0 * self.step as f64);
         ((period * self.samples + row % self.samples) as f64 + middle) * self.dt
+    }
+
+    /// Samples that are not in the mean or in one of these events.
+    pub fn without(&self, events: &[bool]) -> Vec<bool> {
+        self.uncounted.iter().zip(events).map(|(uncounted, event)| *uncounted || *event).collect()
     }
 
     /// Takes the mean over the periods off a signal, P N, without what is masked; that becomes zero.

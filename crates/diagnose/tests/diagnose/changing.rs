@@ -105,7 +105,7 @@ fn kept() -> Settings {
 fn found(runs: &[Run]) -> Changing {
     let stage = stage();
     let experiments = prepared(runs, &kept());
-    let trials: Vec<Trial> = experiments.iter().map(|experiment| Trial { experiment, session: 1 }).collect();
+    let trials = Trial::in_turn(&experiments);
     changing(&stage.operating_point, &trials)
 }
 

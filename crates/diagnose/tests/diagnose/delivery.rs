@@ -19,9 +19,16 @@ fn diagnosed(scene: &Scene, identify: usize, extra: impl Fn(usize, &mut Run)) ->
         Experiment::prepare(&run, &settings).unwrap()
     };
     let experiments: Vec<Experiment> = (0..=identify).map(prepare).collect();
-    let trials: Vec<Trial> = experiments.iter().map(|experiment| Trial { experiment, session: 1 }).collect();
+    let trials = Trial::in_turn(&experiments);
     let (find, judge) = trials.split_at(identify);
-    let input = Input { structure: &scene.structure, identify: find, veto: &[], judge, options: &Options::default() };
+    let input = Input {
+        structure: &scene.structure,
+        identify: find,
+        veto: &[],
+        judge,
+        options: &Options::default(),
+        parts: &[],
+    };
     let settings = Settings { judged_by: Of::Raw, threads: 2, ..Settings::default() };
     diagnose(&input, &settings, &|_| {}).unwrap()
 }

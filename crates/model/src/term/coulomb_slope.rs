@@ -14,7 +14,9 @@ pub static FAMILY: Family = Family {
             name: "tanh",
             equation: "tau_j = fw_j (tanh(dq_j / vw) - tanh(100 dq_j))",
             settings: &[Setting { low: 0.013, steps: 8, ..SPEED }],
-            build: |operating_point, site, settings| build(operating_point, site, settings, "tanh", tanh),
+            build: |operating_point, site, settings| {
+                friction(&FAMILY, "tanh", "fw", operating_point, site, settings, tanh)
+            },
             in_c: InC::Columns(|at, settings| vec![format!("tanh({}/{:?})-{}", at.dq, settings[0], at.sign)]),
             plot_over: PlotOver::Velocity,
         },
@@ -22,7 +24,9 @@ pub static FAMILY: Family = Family {
             name: "arctan",
             equation: "tau_j = fw_j (2/pi atan(dq_j / vw) - tanh(100 dq_j))",
             settings: &[SPEED],
-            build: |operating_point, site, settings| build(operating_point, site, settings, "arctan", arctan),
+            build: |operating_point, site, settings| {
+                friction(&FAMILY, "arctan", "fw", operating_point, site, settings, arctan)
+            },
             in_c: InC::Columns(|at, settings| {
                 vec![format!("{FRAC_2_PI:?}*atan({}/{:?})-{}", at.dq, settings[0], at.sign)]
             }),
@@ -46,17 +50,6 @@ const SPEED: Setting = Setting {
     steps: 12,
     scale: Scale::Logarithmic,
 };
-
-fn build(
-    operating_point: &OperatingPoint,
-    site: Site,
-    settings: &[f64],
-    form: &'static str,
-    law: impl Law,
-) -> Arc<dyn Term> {
-    let columns = vec![column("fw", site, &format!("_{form}"), unit(operating_point, joint(site), "Nm", "N"))];
-    OneRow::new(&FAMILY, form, site, settings, columns, law).not_negative().term()
-}
 
 fn tanh(at: &At, settings: &Settings) -> [f64; 3] {
     [(at.own.dq / settings[0]).tanh() - smooth_sign(at.own.dq), 0.0, 0.0]

@@ -8,15 +8,16 @@ use crate::regressor::LINK_COLUMNS;
 use crate::rnea::{LinkParameters, rnea};
 use nalgebra::{DMatrix, Vector3};
 use plumbline_core::JointVec;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::borrow::Cow;
+use std::sync::Arc;
 
 /// Rigid bodies with their parameters, `tau_rb = Y_b beta`.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct Load {
     chain: Chain,
     links: Vec<LinkParameters>,
-    /// What it is along the motions that were asked for: many terms ask for the same.
-    known: Mutex<Vec<(Motion, Arc<DMatrix<f64>>)>>,
+    /// Its torque along some motions.
+    known: Vec<(Motion, DMatrix<f64>)>,
 }
 
 impl Load {
@@ -27,7 +28,7 @@ impl Load {
         for (&slot, &value) in reduction.independent().iter().zip(beta) {
             links[slot / LINK_COLUMNS][slot % LINK_COLUMNS] = value;
         }
-        Load { chain: chain.clone(), links, known: Mutex::default() }
+        Load { chain: chain.clone(), links, known: Vec::new() }
     }
 
     /// The arm.
@@ -44,11 +45,9 @@ impl Load {
     }
 
     /// Along a motion, N x n \[Nm\].
-    #[expect(clippy::disallowed_methods, reason = "of a whole motion, outside the loop")]
-    pub fn along(&self, motion: &Motion) -> Arc<DMatrix<f64>> {
-        let known = || self.known.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some((_, tau)) = known().iter().find(|(other, _)| other == motion) {
-            return Arc::clone(tau);
+    pub fn along(&self, motion: &Motion) -> Cow<'_, DMatrix<f64>> {
+        if let Some((_, tau)) = self.known.iter().find(|(other, _)| other == motion) {
+            return Cow::Borrowed(tau);
         }
         let mut load = self.under(&motion.gravity);
         let mut tau = DMatrix::zeros(motion.samples(), motion.joints());
@@ -58,9 +57,7 @@ impl Load {
                 tau[(k, j)] = now[j];
             }
         }
-        let tau = Arc::new(tau);
-        known().push((motion.clone(), Arc::clone(&tau)));
-        tau
+        Cow::Owned(tau)
     }
 }
 
@@ -72,6 +69,14 @@ pub struct OperatingPoint {
     pub load: Arc<Load>,
     /// `[fv, fc]` of each joint: \[Nms/rad\], \[Nm\]. Empty where the model has no friction.
     pub friction: Vec<[f64; 2]>,
+}
+
+impl OperatingPoint {
+    /// With the load along these motions computed once, for a search that evaluates many columns along them.
+    pub fn known_along<'a>(self, motions: impl Iterator<Item = &'a Motion>) -> OperatingPoint {
+        let known = motions.map(|motion| (motion.clone(), self.load.along(motion).into_owned())).collect();
+        OperatingPoint { load: Arc::new(Load { known, ..(*self.load).clone() }), ..self }
+    }
 }
 
 /// A [`Load`] under a known gravity. Its torque neither allocates nor panics.

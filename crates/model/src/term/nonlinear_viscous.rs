@@ -56,9 +56,8 @@ pub static FAMILY: Family = Family {
 };
 
 fn sigmoid(operating_point: &OperatingPoint, site: Site, settings: &[f64]) -> Arc<dyn Term> {
-    let columns = vec![column("fn", site, "_sigmoid", unit(operating_point, joint(site), "Nm", "N"))];
     let law = |at: &At, settings: &Settings| [(at.own.dq / settings[0]).tanh(), 0.0, 0.0];
-    OneRow::new(&FAMILY, "sigmoid", site, settings, columns, law).not_negative().term()
+    friction(&FAMILY, "sigmoid", "fn", operating_point, site, settings, law)
 }
 
 fn cubic(operating_point: &OperatingPoint, site: Site, settings: &[f64]) -> Arc<dyn Term> {

@@ -1,6 +1,6 @@
 //! Effects whose columns are functions of one sample in one joint's row.
 
-use super::family::{Family, Site, Spec};
+use super::family::{Family, Site, Spec, joint};
 use super::friction::SHARPNESS;
 use super::load::{Load, LoadUnder, OperatingPoint};
 use super::{Column, Expected, FixedTerm, Motion, Sample, Term};
@@ -188,6 +188,20 @@ impl<L: Law> Term for OneRow<L> {
         own[..beta.len()].copy_from_slice(beta);
         Box::new(FixedRow { row, cause, law: self.law, settings: self.settings, beta: own, load })
     }
+}
+
+/// Friction torque of a joint: one column in Nm or N, `stem`, the joint and the form, whose parameter is 0 or more.
+pub(super) fn friction(
+    family: &'static Family,
+    form: &'static str,
+    stem: &str,
+    operating_point: &OperatingPoint,
+    site: Site,
+    settings: &[f64],
+    law: impl Law,
+) -> Arc<dyn Term> {
+    let columns = vec![column(stem, site, &format!("_{form}"), unit(operating_point, joint(site), "Nm", "N"))];
+    OneRow::new(family, form, site, settings, columns, law).not_negative().term()
 }
 
 struct FixedRow<L> {

@@ -13,7 +13,9 @@ pub static FAMILY: Family = Family {
             name: "gaussian",
             equation: "tau_j = fs_j exp(-(dq_j / vs)^2) tanh(100 dq_j)",
             settings: &[SPEED],
-            build: |operating_point, site, settings| build(operating_point, site, settings, "gaussian", gaussian),
+            build: |operating_point, site, settings| {
+                friction(&FAMILY, "gaussian", "fs", operating_point, site, settings, gaussian)
+            },
             in_c: InC::Columns(|at, settings| {
                 vec![format!("exp(-({0}/{1:?})*({0}/{1:?}))*{2}", at.dq, settings[0], at.sign)]
             }),
@@ -23,7 +25,9 @@ pub static FAMILY: Family = Family {
             name: "exponential",
             equation: "tau_j = fs_j exp(-|dq_j| / vs) tanh(100 dq_j)",
             settings: &[SPEED],
-            build: |operating_point, site, settings| build(operating_point, site, settings, "exponential", exponential),
+            build: |operating_point, site, settings| {
+                friction(&FAMILY, "exponential", "fs", operating_point, site, settings, exponential)
+            },
             in_c: InC::Columns(|at, settings| vec![format!("exp(-fabs({})/{:?})*{}", at.dq, settings[0], at.sign)]),
             plot_over: PlotOver::Velocity,
         },
@@ -48,17 +52,6 @@ const SPEED: Setting = Setting {
     steps: 11,
     scale: Scale::Logarithmic,
 };
-
-fn build(
-    operating_point: &OperatingPoint,
-    site: Site,
-    settings: &[f64],
-    form: &'static str,
-    law: impl Law,
-) -> Arc<dyn Term> {
-    let columns = vec![column("fs", site, &format!("_{form}"), unit(operating_point, joint(site), "Nm", "N"))];
-    OneRow::new(&FAMILY, form, site, settings, columns, law).not_negative().term()
-}
 
 fn gaussian(at: &At, settings: &Settings) -> [f64; 3] {
     [(-(at.own.dq / settings[0]).powi(2)).exp() * smooth_sign(at.own.dq), 0.0, 0.0]
