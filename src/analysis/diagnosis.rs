@@ -75,9 +75,12 @@ pub fn run(question: &Question) -> Result<Diagnosed, Failure> {
 impl Question<'_> {
     /// Searches each run that differs from the identified ones for what changed in it, as against a stored model.
     fn name_disagreements(&self, model: &TorqueModel, block: &mut Diagnosis) -> Result<(), Failure> {
+        let mut all_explained = true;
         for run in self.unseen {
             let name = &run.data.name;
-            if !block.disagreements.iter().any(|one| one.run == *name) || model.valid_in(&run.data.mounting).is_err() {
+            let Some(disagreement) = block.disagreements.iter().find(|one| one.run == *name) else { continue };
+            if model.valid_in(&run.data.mounting).is_err() {
+                all_explained = false;
                 continue;
             }
             let (find, judge) = split::find_and_judge(&[run], &mut Vec::new());
@@ -92,12 +95,17 @@ impl Question<'_> {
                 Effect { label: format!("{} in {name}", effect.place()), ..effect }
             };
             let effects: Vec<Effect> = held.iter().map(effect).collect();
+            let left_over = changes.after.get(disagreement.joint - 1);
+            all_explained &= !effects.is_empty() && left_over.is_some_and(|rms| disagreement.is_explained_at(*rms));
             let (since, session) = ("the runs identified from".into(), name.clone());
             block.changes.push(Changes { since, session, effects: effects.clone(), ..Changes::default() });
             if block.verdict == Verdict::Unexplained && block.unexplained.is_empty() && !effects.is_empty() {
                 block.verdict = Verdict::Partly;
             }
             block.effects.extend(effects);
+        }
+        if !block.disagreements.is_empty() && block.unexplained.is_empty() && all_explained {
+            block.verdict = Verdict::Diagnosed;
         }
         Ok(())
     }

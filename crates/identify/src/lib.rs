@@ -49,6 +49,7 @@ mod differentiate;
 mod direction;
 mod essential;
 mod experiment;
+mod faults;
 mod mounting_check;
 mod periods;
 mod plausibility;

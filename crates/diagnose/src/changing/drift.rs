@@ -7,14 +7,13 @@
 //!   course     `g = t` in minutes, or `g = 1 - exp(-t / T)`
 //!
 //! Both show in the deviations of the periods from their mean, the mean over the periods being taken off both sides. The base parameters
-//! have no part in them. Deviations are judged as spectra of single periods: in each joint and band noise has one variance, which is
+//! have no part in them. Deviations are judged as spectra of whole runs: in each joint and band noise has one variance, which is
 //! estimated with the drift (profile likelihood), for noise at the lowest frequencies is stronger than that of single samples.
 //! Score: twice the gain in log likelihood, less `k ln n` for `k` parameters and `2 ln N` for `N` candidates.
 
 use super::record::Record;
 use super::step::{self, Coming, Step};
 use nalgebra::{DMatrix, DVector};
-use plumbline_identify::signal::spectral::Spectral;
 use plumbline_model::term::effect::OperatingPoint;
 use plumbline_model::term::friction::SHARPNESS;
 use plumbline_model::term::{friction_drift, offset_drift};
@@ -167,6 +166,8 @@ pub(super) struct Deviations<'a> {
     operating_point: &'a OperatingPoint,
     /// Band of each coefficient, run by run.
     bands: Vec<Vec<usize>>,
+    /// Independent numbers in a coefficient of each joint, run by run.
+    freedom: Vec<Vec<f64>>,
     /// Per joint.
     rows: Vec<Rows>,
 }
@@ -176,8 +177,12 @@ impl Deviations<'_> {
     pub fn of<'a>(records: &'a [Record<'a>], operating_point: &'a OperatingPoint) -> Deviations<'a> {
         let joints = records.first().map_or(0, Record::joints);
         let bands = records.iter().map(bands).collect();
-        let rows = |joint| records.iter().map(|record| coefficients(record, &record.centred(joint))).collect();
-        Deviations { records, operating_point, bands, rows: (0..joints).map(rows).collect() }
+        let rows = |joint| {
+            records.iter().map(|record| record.coefficients(joint, &record.centred(joint), highest(record))).collect()
+        };
+        let freedom = |record: &Record| (0..joints).map(|joint| record.freedom(joint)).collect();
+        let freedom = records.iter().map(freedom).collect();
+        Deviations { records, operating_point, bands, freedom, rows: (0..joints).map(rows).collect() }
     }
 
     /// Drifts and steps that pay for themselves.
@@ -263,7 +268,7 @@ impl Deviations<'_> {
             let record = &self.records[coming.run];
             let centred = |mut column: Vec<f64>| {
                 record.centre(&mut column);
-                coefficients(record, &column)
+                record.coefficients(joint, &column, highest(record))
             };
             runs[coming.run] = columns.into_iter().map(centred).collect();
             (joint, runs)
@@ -333,7 +338,7 @@ impl Deviations<'_> {
                 let at = |row: usize| shape[row % record.samples] * course.at(record.time(row));
                 let mut x: Vec<f64> = (0..record.tau.nrows()).map(at).collect();
                 record.centre(&mut x);
-                coefficients(record, &x)
+                record.coefficients(joint, &x, highest(record))
             };
             self.shapes(what, joint, record).iter().map(column).collect()
         };
@@ -357,11 +362,10 @@ impl Deviations<'_> {
     }
 
     /// Squares of a joint's coefficients in each band, with how many independent ones there are.
-    fn squares(&self, rows: &Rows) -> [(f64, f64); BAND_EDGES_HZ.len()] {
+    fn squares(&self, joint: usize, rows: &Rows) -> [(f64, f64); BAND_EDGES_HZ.len()] {
         let mut sums = [(0.0, 0.0); BAND_EDGES_HZ.len()];
-        for ((values, bands), record) in rows.iter().zip(&self.bands).zip(self.records) {
-            // The mean has taken one period's worth.
-            let free = (record.periods() - 1) as f64 / record.periods() as f64;
+        for ((values, bands), freedom) in rows.iter().zip(&self.bands).zip(&self.freedom) {
+            let free = freedom[joint];
             for (value, &band) in values.iter().zip(bands) {
                 sums[band] = (sums[band].0 + value * value, sums[band].1 + free);
             }
@@ -372,7 +376,7 @@ impl Deviations<'_> {
     fn fit(&self, trial: &Trial, rows: &[Rows]) -> Option<Fitted> {
         let width = trial.width;
         let sets = if trial.common { 1 } else { self.records.len() };
-        let before: Vec<_> = trial.columns.iter().map(|(joint, _)| self.squares(&rows[*joint])).collect();
+        let before: Vec<_> = trial.columns.iter().map(|(joint, _)| self.squares(*joint, &rows[*joint])).collect();
         let mut after = before.clone();
         let (mut theta, mut covariance) = (DVector::zeros(width * sets), DMatrix::zeros(width * sets, width * sets));
         for _ in 0..WEIGHT_ROUNDS {
@@ -393,7 +397,7 @@ impl Deviations<'_> {
             covariance = g.cholesky()?.inverse();
             theta = &covariance * b;
             for ((joint, columns), squares) in trial.columns.iter().zip(&mut after) {
-                *squares = self.squares(&less(&rows[*joint], columns, &theta, trial.common));
+                *squares = self.squares(*joint, &less(&rows[*joint], columns, &theta, trial.common));
             }
         }
         let mut evidence = 0.0;
@@ -413,7 +417,7 @@ impl Deviations<'_> {
     }
 
     fn score(&self, trial: &Trial, fitted: &Fitted, candidates: usize) -> f64 {
-        let rows: f64 = self.squares(&self.rows[0]).iter().map(|(_, count)| count).sum();
+        let rows: f64 = self.squares(0, &self.rows[0]).iter().map(|(_, count)| count).sum();
         let parameters = (fitted.theta.len() + trial.what.settings()) as f64;
         fitted.evidence - parameters * rows.ln() - 2.0 * (candidates as f64).ln()
     }
@@ -539,36 +543,15 @@ fn less(rows: &Rows, columns: &[Vec<Vec<f64>>], theta: &DVector<f64>, common: bo
     rest
 }
 
-/// Coefficients of orthonormal waves up to the highest frequency, period by period.
-fn coefficients(record: &Record, x: &[f64]) -> Vec<f64> {
-    let spectral = Spectral::new(record.samples, record.dt);
-    let count = bins(record);
-    let scale = 1.0 / (record.samples as f64).sqrt();
-    let mut rows = Vec::with_capacity(record.periods() * (2 * count - 1));
-    for period in x.chunks(record.samples) {
-        let spectrum = spectral.transform(period);
-        rows.push(scale * spectrum[0].re);
-        for value in &spectrum[1..count] {
-            rows.extend([value.re, value.im].map(|part| scale * 2.0_f64.sqrt() * part));
-        }
-    }
-    rows
-}
-
-fn bins(record: &Record) -> usize {
-    let highest = MAX_FREQUENCY_HZ.min(0.4 / record.dt);
-    ((highest * record.samples as f64 * record.dt) as usize + 1).clamp(2, record.samples / 2)
+fn highest(record: &Record) -> f64 {
+    MAX_FREQUENCY_HZ.min(0.4 / record.dt)
 }
 
 /// Band of each coefficient.
 fn bands(record: &Record) -> Vec<usize> {
-    let width = 1.0 / (record.samples as f64 * record.dt);
-    let one = (0..2 * bins(record) - 1).map(|row| {
-        // The lowest band has more than the mean of a period.
-        let bin = row.div_ceil(2);
-        let frequency = if bin == 1 { 0.0 } else { bin as f64 * width };
-        BAND_EDGES_HZ.iter().position(|edge| frequency <= *edge).unwrap_or(BAND_EDGES_HZ.len() - 1)
-    });
-    let one: Vec<usize> = one.collect();
-    one.repeat(record.periods())
+    let x = vec![0.0; record.tau.nrows()];
+    let frequency = |row: usize| row as f64 / (2.0 * x.len() as f64 * record.dt);
+    let band =
+        |row: usize| BAND_EDGES_HZ.iter().position(|edge| frequency(row) <= *edge).unwrap_or(BAND_EDGES_HZ.len() - 1);
+    (0..record.coefficients(0, &x, highest(record)).len()).map(band).collect()
 }

@@ -126,7 +126,7 @@ impl Changing {
             if !counts.is_empty() {
                 let counts = counts.join(" and ");
                 let left_out = left_out(&one.run);
-                notes.push(format!("run {}: single samples that stand out, {counts}, {left_out}", one.run));
+                notes.push(format!("run {}: spoiled samples, {counts}, {left_out}", one.run));
             }
         }
         notes.extend(self.spared.iter().map(|run| {

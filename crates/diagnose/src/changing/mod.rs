@@ -200,8 +200,7 @@ fn mask(records: &mut [Record], operating_point: &OperatingPoint, courses: &Cour
     });
     let mut changed = false;
     for (record, masked) in records.iter_mut().zip(masks) {
-        changed |= record.masked != masked;
-        record.masked = masked;
+        changed |= record.mask(masked);
     }
     changed
 }

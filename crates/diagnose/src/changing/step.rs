@@ -63,6 +63,8 @@ pub(super) struct Coming {
     pub width: usize,
     /// Joint and columns over one period, N x width.
     pub columns: Vec<(usize, DMatrix<f64>)>,
+    /// The same without samples at which the joint stands.
+    moving: Vec<(usize, DMatrix<f64>)>,
 }
 
 /// Every effect that may come suddenly, at every site, in every run.
@@ -87,8 +89,14 @@ impl Coming {
         // Directions that the motion does not excite have no columns of their own.
         let y = independent(y)?;
         let part = |joint: usize| (joint, y.rows(joint * samples, samples).into_owned());
-        let columns = (0..joints).map(part).filter(|(_, part)| part.iter().any(|value| *value != 0.0)).collect();
-        Some(Coming { run, spec, width: y.ncols(), columns })
+        let columns: Vec<(usize, DMatrix<f64>)> =
+            (0..joints).map(part).filter(|(_, part)| part.iter().any(|value| *value != 0.0)).collect();
+        let mut moving = columns.clone();
+        for (joint, part) in &mut moving {
+            let stands = record.standing[*joint].iter().enumerate().filter(|(_, stands)| **stands);
+            stands.for_each(|(k, _)| part.row_mut(k).fill(0.0));
+        }
+        Some(Coming { run, spec, width: y.ncols(), columns, moving })
     }
 
     /// Row of the run at which a step explains most of `rest`, the centred deviations of each joint in this run weighed by `weights`.
@@ -121,14 +129,14 @@ impl Coming {
         let (samples, periods, width) = (record.samples, record.periods(), self.width);
         let square = |upto: usize| {
             let mut sum = DMatrix::zeros(width, width);
-            for (joint, columns) in &self.columns {
+            for (joint, columns) in &self.moving {
                 let part = columns.rows(0, upto);
                 sum += part.tr_mul(&part) * weights[*joint];
             }
             sum
         };
         let project = |from: usize, to: usize, b: &mut DVector<f64>| {
-            for (joint, columns) in &self.columns {
+            for (joint, columns) in &self.moving {
                 for row in from..to {
                     let value = weights[*joint] * rest[*joint][row];
                     for c in 0..width {
@@ -149,7 +157,7 @@ impl Coming {
                 if sample % samples == 0 {
                     below.fill(0.0);
                 }
-                for (joint, columns) in &self.columns {
+                for (joint, columns) in &self.moving {
                     let c = columns.row(sample % samples);
                     below += c.tr_mul(&c) * weights[*joint];
                 }
