@@ -103,9 +103,10 @@ impl Run {
         Run { data, role, note: String::new(), session: 1, start: 0.0, extra: Vec::new() }
     }
 
-    /// Its end on the same clock as its start \[s\].
+    /// Its end on the same clock as its start, one sample after the last \[s\].
     pub fn end(&self) -> f64 {
-        self.start + self.data.t.last().zip(self.data.t.first()).map_or(0.0, |(last, first)| last - first)
+        let length = self.data.t.last().zip(self.data.t.first()).map_or(0.0, |(last, first)| last - first);
+        self.start + length * self.samples() as f64 / (self.samples() as f64 - 1.0).max(1.0)
     }
 
     /// Number of samples, N.

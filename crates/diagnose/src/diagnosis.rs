@@ -327,7 +327,7 @@ fn effects_of(
 ) -> Vec<Effect> {
     let state = &selected.state;
     let deviations = Deviations::of(search, state);
-    let columns = after.structure.columns().into_iter().zip(after.identification.values());
+    let columns = after.structure.columns().iter().zip(after.identification.values());
     let stored: Vec<Parameter> =
         columns.map(|(column, (value, std))| Parameter { column: column.clone(), value, std }).collect();
     let mut effects = Vec::new();

@@ -20,15 +20,15 @@ impl Disagreement {
     }
 }
 /// Errors of the parameters to expect, in their standard deviations.
-const PARAMETER_DEVIATIONS: f64 = 2.0;
+const PARAMETER_DEVIATIONS: f64 = 1.5;
 
 /// Runs in which a joint's residual exceeds twice the expected RMS, the worst joint of each run, in the order of `unseen`. Expected are the noise,
 /// what the model lacks in the runs it was identified from, and the errors of its parameters:
 ///
-///   E = sqrt(noise^2 + lack^2 + 4 mean_k(m_k' C m_k))
+///   E = sqrt(noise^2 + lack^2 + 1.5^2 mean_k(m_k' C m_k))
 ///
 /// with `m_k` the row of sample k and `C` the covariance of the parameters: the noise is an average over many samples, but all samples share the errors of
-/// the parameters, which may be twice their standard deviation. `identified` are the runs that `fitted` was identified from, in `evidence`.
+/// the parameters, which are often larger than their standard deviation. `identified` are the runs that `fitted` was identified from, in `evidence`.
 pub fn disagreements(
     chain: &Chain,
     evidence: &Evidence,

@@ -109,8 +109,8 @@ fn interpolate(x: &mut [f64], out: &[bool]) {
         let after = x.get(end).copied();
         let (Some(left), Some(right)) = (before.or(after), after.or(before)) else { return };
         let length = (end - row + 1) as f64;
-        for k in row..end {
-            x[k] = left + (right - left) * (k + 1 - row) as f64 / length;
+        for (k, value) in x[row..end].iter_mut().enumerate() {
+            *value = left + (right - left) * (k + 1) as f64 / length;
         }
         row = end;
     }

@@ -9,7 +9,7 @@
 //! Both show in the deviations of the periods from their mean, the mean over the periods being taken off both sides. The base parameters
 //! have no part in them. Deviations are judged as spectra of whole runs: in each joint and band noise has one variance, which is
 //! estimated with the drift (profile likelihood), for noise at the lowest frequencies is stronger than that of single samples.
-//! Score: twice the gain in log likelihood, less `k ln n` for `k` parameters and `2 ln N` for `N` candidates.
+//! Score, at least [`MIN_SCORE`]: twice the gain in log likelihood, less `k ln n` for `k` parameters and `2 ln N` for `N` candidates.
 
 use super::record::Record;
 use super::step::{self, Coming, Step};
@@ -24,6 +24,8 @@ const BAND_EDGES_HZ: [f64; 8] = [0.3, 0.55, 1.05, 2.0, 4.0, 8.0, 16.0, f64::INFI
 const MAX_FREQUENCY_HZ: f64 = 16.0;
 /// Time constants that the search starts from \[s\]; it stays between the first and the last.
 const START_TIME_CONSTANTS_S: [f64; 5] = [60.0, 100.0, 170.0, 290.0, 500.0];
+/// Least score: within a band slow noise is stronger at its lowest frequencies, where drifts and steps are.
+const MIN_SCORE: f64 = 10.0;
 /// Rounds of weights.
 const WEIGHT_ROUNDS: usize = 3;
 /// Evaluations of the search for a time constant.
@@ -208,7 +210,7 @@ impl Deviations<'_> {
             });
             let Some((trial, fitted, score)) = scored.max_by(|a, b| a.2.total_cmp(&b.2)) else { break };
             let best = self.refined((trial.clone(), fitted, score), &rest, count);
-            if best.2 <= 0.0 {
+            if best.2 <= MIN_SCORE {
                 break;
             }
             taken.push(best);
@@ -221,7 +223,7 @@ impl Deviations<'_> {
                     taken[k] = (trial, fitted, score);
                 }
             }
-            taken.retain(|(_, _, score)| *score > 0.0);
+            taken.retain(|(_, _, score)| *score > MIN_SCORE);
             rest = self.without(taken.iter());
         }
         let mut found = Courses::default();

@@ -174,6 +174,9 @@ pub fn changing(operating_point: &OperatingPoint, trials: &[Trial]) -> Changing 
         found.leave_out.extend(spoiled);
         found.hygiene.push(hygiene);
     }
+    for record in &records {
+        found.leave_out.extend(around_steps(record, &courses.steps));
+    }
     found.leave_out = merged(found.leave_out);
     (found.drifts, found.steps) = (courses.drifts, courses.steps);
     found.runs = records.iter().map(|record| record.experiment.name.clone()).collect();
@@ -203,6 +206,16 @@ fn mask(records: &mut [Record], operating_point: &OperatingPoint, courses: &Cour
         changed |= record.mask(masked);
     }
     changed
+}
+
+/// The begins of steps, and both ends of their run. With a step the arm ends the run elsewhere than it begins it, by as much as its controller gives way,
+/// and the mean period must not jump there: it would be a blow in the accelerations.
+fn around_steps(record: &Record, steps: &[Step]) -> Vec<ExcludedSpan> {
+    let run = &record.experiment.name;
+    let own: Vec<f64> = steps.iter().filter(|step| step.run == *run).map(|step| step.time).collect();
+    let ends = [0.0, record.experiment.timeline.end()].into_iter().filter(|_| !own.is_empty());
+    let span = |time: f64| ExcludedSpan { run: run.clone(), from: time - EVENT_MARGIN_S, to: time + EVENT_MARGIN_S };
+    ends.chain(own.iter().copied()).map(span).collect()
 }
 
 /// Stretches that touch or overlap as one, in the order of runs and time.

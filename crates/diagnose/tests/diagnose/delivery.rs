@@ -145,3 +145,15 @@ fn deviations_are_those_of_repeated_recordings() {
         assert!((0.75..1.35).contains(&(std / scatter)) && (one.value - truth).abs() < 3.0 * std, "{one:?}");
     }
 }
+
+#[test]
+fn what_is_unconfirmed_and_predicts_no_better_is_not_delivered() {
+    let scene = Scene::panda_on_the_wall();
+    // One trajectory confirms nothing, and nobody knows the noise of an unseen run without repeats.
+    let outcome = diagnosed(&scene, 1, |index, run| match index {
+        0 => run.tau.column_mut(4).add_scalar_mut(0.02),
+        _ => run.period = None,
+    });
+    let why = withheld(&outcome, "torque-offset");
+    assert!(why.starts_with("it is unconfirmed, and unseen runs are predicted no better: +"), "{why}");
+}
