@@ -68,7 +68,7 @@ const LIGHT: usize = 6;
 
 /// Position of a column's parameter among those of a link, by the column's name.
 pub fn slot(column: &str) -> Option<usize> {
-    let own = column.strip_prefix("payload_")?;
+    let own = column.strip_prefix("payload_")?.trim_end_matches("_light");
     PARAMETERS.iter().position(|(name, _)| *name == own)
 }
 
@@ -82,7 +82,8 @@ fn build(
 ) -> Arc<dyn Term> {
     let chain = operating_point.chain.clone();
     let named = |(what, unit): (&str, &'static str)| {
-        let name = format!("payload_{what}");
+        let suffix = if form.is_empty() { String::new() } else { format!("_{form}") };
+        let name = format!("payload_{what}{suffix}");
         Column { symbol: name.clone(), expression: name.clone(), name, joint: chain.len(), unit }
     };
     let columns = PARAMETERS[least..].iter().copied().map(named).collect();
