@@ -45,7 +45,14 @@ pub fn run(question: &Question) -> Result<Diagnosed, Failure> {
     let (identify, unseen) = (trials(&identify, question.identify), trials(&unseen, question.unseen));
     // One run accepts or refuses findings, the others measure them; a single one measures.
     let (veto, judge) = unseen.split_at(usize::from(unseen.len() > 1));
-    let input = Input { structure: question.structure, identify: &identify, veto, judge, options: question.options };
+    let input = Input {
+        structure: question.structure,
+        identify: &identify,
+        veto,
+        judge,
+        options: question.options,
+        parts: &variation.spans(&identify),
+    };
     bar.at(0.1, "searching");
     let share = std::cell::Cell::new(0.2);
     let settings = plumbline_diagnose::Settings { judged_by: question.of, ..question.diagnosis.clone() };
@@ -68,15 +75,18 @@ pub fn run(question: &Question) -> Result<Diagnosed, Failure> {
 impl Question<'_> {
     /// Searches each run that differs from the identified ones for what changed in it, as against a stored model.
     fn name_disagreements(&self, model: &TorqueModel, block: &mut Diagnosis) -> Result<(), Failure> {
+        let mut all_explained = true;
         for run in self.unseen {
             let name = &run.data.name;
-            if !block.disagreements.iter().any(|one| one.run == *name) || model.valid_in(&run.data.mounting).is_err() {
+            let Some(disagreement) = block.disagreements.iter().find(|one| one.run == *name) else { continue };
+            if model.valid_in(&run.data.mounting).is_err() {
+                all_explained = false;
                 continue;
             }
             let (find, judge) = split::find_and_judge(&[run], &mut Vec::new());
             let prepare = |runs: &[Run]| pipeline::experiments(&runs.iter().collect::<Vec<_>>(), self.settings);
             let (find, judge) = (prepare(&find)?, prepare(&judge)?);
-            let trials: Vec<Trial> = find.iter().map(|experiment| Trial { experiment, session: 1 }).collect();
+            let trials = Trial::in_turn(&find);
             let changes = reference::changes(model, &trials, self.diagnosis, &|_| {});
             let judge: Vec<(&Experiment, u32)> = judge.iter().map(|experiment| (experiment, 1)).collect();
             let held = Stored { model, changes: &changes.effects }.held(&judge).map_err(Failure::job)?;
@@ -85,6 +95,8 @@ impl Question<'_> {
                 Effect { label: format!("{} in {name}", effect.place()), ..effect }
             };
             let effects: Vec<Effect> = held.iter().map(effect).collect();
+            let left_over = changes.after.get(disagreement.joint - 1);
+            all_explained &= !effects.is_empty() && left_over.is_some_and(|rms| disagreement.is_explained_at(*rms));
             let (since, session) = ("the runs identified from".into(), name.clone());
             block.changes.push(Changes { since, session, effects: effects.clone(), ..Changes::default() });
             if block.verdict == Verdict::Unexplained && block.unexplained.is_empty() && !effects.is_empty() {
@@ -92,12 +104,17 @@ impl Question<'_> {
             }
             block.effects.extend(effects);
         }
+        if !block.disagreements.is_empty() && block.unexplained.is_empty() && all_explained {
+            block.verdict = Verdict::Diagnosed;
+        }
         Ok(())
     }
 }
 
 pub fn trials<'a>(experiments: &'a [Experiment], runs: &[&Run]) -> Vec<Trial<'a>> {
-    experiments.iter().zip(runs).map(|(experiment, run)| Trial { experiment, session: run.session }).collect()
+    let trial =
+        |(experiment, run): (&'a Experiment, &&Run)| Trial { experiment, session: run.session, start: run.start };
+    experiments.iter().zip(runs).map(trial).collect()
 }
 
 /// The runs to identify from without events that happened once, with the noise of the rest; what differs between their periods; and the unseen runs.

@@ -68,7 +68,8 @@ impl Results {
         self.recorded.first().map(|recorded| recorded.run.data.mounting)
     }
 
-    pub fn take(&mut self, recorded: Recorded) {
+    pub fn take(&mut self, mut recorded: Recorded) {
+        recorded.run.start = self.recorded.last().map_or(0.0, |last| last.run.end());
         tracing::info!("{} was recorded: {} samples", recorded.run.data.name, recorded.run.samples());
         self.recorded.push(recorded);
     }

@@ -61,7 +61,7 @@ impl Reference<'_> {
         let prepare = |runs: &[Run]| pipeline::experiments(&runs.iter().collect::<Vec<_>>(), self.settings);
         let (find, unseen) = (prepare(&find)?, prepare(&judge)?);
         // Within one session, an effect is there or it is not.
-        let trials: Vec<Trial> = find.iter().map(|experiment| Trial { experiment, session: 1 }).collect();
+        let trials = Trial::in_turn(&find);
         let changes = reference::changes(self.model, &trials, self.diagnosis, &|_| {});
         let stored = Stored { model: self.model, changes: &changes.effects };
         let unseen: Vec<(&Experiment, u32)> = unseen.iter().map(|experiment| (experiment, session)).collect();

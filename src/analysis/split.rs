@@ -77,6 +77,7 @@ fn cut(run: &Run, share: f64) -> (Run, Run) {
             ..run.data.part(from, count)
         },
         note: run.note.clone(),
+        start: run.start + run.data.t[from] - run.data.t[0],
         extra: run.extra.iter().map(|(name, values)| (name.clone(), values[from..from + count].to_vec())).collect(),
         ..*run
     };

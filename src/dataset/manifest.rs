@@ -118,7 +118,8 @@ pub(super) fn read(dir: &Path) -> Result<Dataset, BadInput> {
                 "a file named only once",
             ));
         }
-        runs.push(run);
+        let start = runs.last().map_or(0.0, Run::end);
+        runs.push(Run { start, ..run });
     }
     let n = runs[0].joints();
     if let Some(gain) = gain(&file, &manifest.torque, n)? {
@@ -157,7 +158,14 @@ fn read_run(dir: &Path, file: &str, index: usize, entry: &RunEntry, shared: Moun
         mounting: entry.mounting.map_or(Ok(shared), |own| mounting(file, &format!("run[{index}].mounting"), own))?,
         period: entry.period,
     };
-    Ok(Run { data, role: entry.role, note: entry.note.clone(), session: entry.session, extra: columns.extra })
+    Ok(Run {
+        data,
+        role: entry.role,
+        note: entry.note.clone(),
+        session: entry.session,
+        start: 0.0,
+        extra: columns.extra,
+    })
 }
 
 fn mounting(file: &str, key: &str, angles: GravityAngles) -> Result<Mounting, BadInput> {

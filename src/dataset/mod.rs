@@ -42,6 +42,8 @@ pub struct Run {
     pub note: String,
     /// Between sessions something about the arm may have changed; session 1 is the reference for the others.
     pub session: u32,
+    /// Its begin on a clock that counts through the runs before it \[s\].
+    pub start: f64,
     /// Further columns by name, in the order of the file.
     pub extra: Vec<(String, Vec<f64>)>,
 }
@@ -98,7 +100,13 @@ impl Run {
 
     /// A run of session 1 without a remark and further columns.
     pub fn new(data: plumbline_identify::Run, role: Role) -> Run {
-        Run { data, role, note: String::new(), session: 1, extra: Vec::new() }
+        Run { data, role, note: String::new(), session: 1, start: 0.0, extra: Vec::new() }
+    }
+
+    /// Its end on the same clock as its start, one sample after the last \[s\].
+    pub fn end(&self) -> f64 {
+        let length = self.data.t.last().zip(self.data.t.first()).map_or(0.0, |(last, first)| last - first);
+        self.start + length * self.samples() as f64 / (self.samples() as f64 - 1.0).max(1.0)
     }
 
     /// Number of samples, N.

@@ -26,6 +26,7 @@ fn made_up(samples: usize, n: usize) -> Dataset {
         role,
         note: "seeded, with \"quotes\"".to_string(),
         session: 1,
+        start: 0.0,
         extra: vec![("tau_cmd1".to_string(), block().column(0).iter().copied().collect())],
     };
     let mut runs = vec![run("a.csv", Role::Identify), run("b.csv", Role::Validate)];

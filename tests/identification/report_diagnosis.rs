@@ -34,6 +34,7 @@ fn presliding(joint: usize) -> Effect {
         confirmed: true,
         stratum: Stratum::Repeatable,
         since_session: None,
+        acts: None,
         withheld: None,
         form: String::new(),
         in_model: true,

@@ -5,9 +5,10 @@ use plumbline::dataset::{Dataset, Role, Run};
 use plumbline::report::Report;
 use plumbline::report::diagnosis::{Stratum, Verdict};
 use plumbline_model::{Mounting, Robot};
+use plumbline_testkit::job::plumbline;
 use plumbline_testkit::scene::DT;
 use plumbline_testkit::scene::lab::{Noise, of_force, period, plans, window};
-use plumbline_testkit::{job::plumbline, sim::arm};
+use plumbline_testkit::sim::{arm, arm_with};
 use std::path::Path;
 
 const PERIODS: usize = 6;
@@ -108,4 +109,57 @@ fn a_drift_and_a_contact_are_reported_and_kept_out_of_the_model() {
     assert!(note.is_some_and(|note| note.starts_with("run run-1.csv, 34.") && note.ends_with("left out")), "{printed}");
     assert!(page.contains("contact on link 6 in run-1.csv") && page.contains(">not in the model<"));
     assert!(!page.contains("not added to the model") && nothing.contains("diagnosis: nothing significant"));
+}
+
+/// Of this mass, with its centre 0.1 m in front of the flange, picked up at this time of the second run \[s\].
+const MASS: f64 = 0.4;
+const PICKED_UP: f64 = 13.37;
+
+#[test]
+fn a_payload_that_is_picked_up_within_a_run_is_weighed_and_taken_off() {
+    let place = tempfile::tempdir().unwrap();
+    let chain = Robot::load("panda", None).unwrap().chain;
+    let loaded = format!(
+        "[[effect]]\nid = \"payload\"\nmass = {MASS}\ncom = [0.0, 0.0, 0.1]\ninertia = [1e-3, 0.0, 0.0, 1e-3, 0.0, 1e-3]\n"
+    );
+    let arms = [arm("sim-panda"), arm_with("sim-panda", &loaded)];
+    let [identify, validate] = plans();
+    let plans = [(Role::Identify, &identify[0]), (Role::Identify, &identify[1]), (Role::Validate, &validate[0])];
+    let mut runs = Vec::new();
+    for (k, (role, plan)) in plans.into_iter().enumerate() {
+        let name = format!("run-{k}.csv");
+        let [mut run, with] = arms.each_ref().map(|arm| {
+            period(&chain, arm, plan, Mounting::WALL, &name).record(arm, 2, Noise { coloured: 0.05 }, 40 + k as u64)
+        });
+        // It stays for the run after. The joints give way within a fifth of a second.
+        let picked_up = [f64::INFINITY, PICKED_UP, -1.0][k];
+        for (row, t) in run.t.iter().enumerate() {
+            let share = ((t - picked_up) / 0.2 + 0.5).clamp(0.0, 1.0);
+            for (own, with) in [(&mut run.q, &with.q), (&mut run.tau, &with.tau)] {
+                let moved = own.row(row) * (1.0 - share) + with.row(row) * share;
+                own.row_mut(row).copy_from(&moved);
+            }
+        }
+        runs.push(Run::new(plumbline_identify::Run { name, ..run }, role));
+    }
+    let source = toml::Table::new();
+    let dataset = Dataset { name: "test".into(), robot: "panda".into(), mounting: Mounting::WALL, source, runs };
+    dataset.write(&place.path().join("data")).unwrap();
+    let (report, printed, _) = diagnosed(place.path());
+    println!("{printed}");
+    let found = report.diagnosis.unwrap();
+    assert_eq!(found.verdict, Verdict::Diagnosed, "{printed}");
+    let [payload] = &found.effects[..] else { panic!("{printed}") };
+    let acts = payload.acts.as_ref().unwrap();
+    assert!(payload.id == "payload" && !payload.in_model && acts.run == "run-1.csv" && acts.to_end_of_recording);
+    assert!((acts.from - PICKED_UP).abs() < 0.1, "{acts:?}");
+    let mass = payload.parameters.0.iter().find(|own| own.name == "mass").unwrap();
+    assert!((mass.value - MASS).abs() < 3.0 * mass.std.unwrap() && mass.std.unwrap() < 0.02, "{mass:?}");
+    // The model is that of the arm without it, which no unseen run shows; with it, the unseen run is predicted.
+    for (before, after) in found.before.validate_rms.iter().zip(&found.after.validate_rms) {
+        assert!(after < &(1.05 * before), "{printed}");
+    }
+    let worst = |rms: &[f64]| rms.iter().copied().fold(0.0, f64::max);
+    assert!(worst(&found.after.validate_rms) < 0.25 * worst(&found.before.validate_rms), "{printed}");
+    assert!(printed.contains("payload since 13.4 s of run-1.csv (mass 0.39"), "{printed}");
 }

@@ -1,6 +1,7 @@
 //! The model that is delivered: the plain one with the effects that help.
 
 use super::Settings;
+use super::acting::Acting;
 use super::diagnosis::Input;
 use super::errors::{self, Compared};
 use super::evidence::{Evidence, Trial};
@@ -34,8 +35,12 @@ pub struct Delivery<'a> {
     pub input: &'a Input<'a>,
     /// Its unseen runs.
     pub unseen: &'a Evidence,
-    /// The runs to identify from.
+    /// The same without what acts in a part of the recording.
+    pub unseen_without: &'a [Trial<'a>],
+    /// The runs to identify from, alike.
     pub experiments: &'a [Experiment],
+    /// What acts in a part of the recording.
+    pub acting: &'a Acting<'a>,
     /// The plain model.
     pub before: &'a Identification,
     /// Effects that the search started with.
@@ -72,18 +77,21 @@ impl Delivery<'_> {
             let faint = lacks[found.relevance.joint].is_some_and(|lack| lack <= WEAK_SIGNAL_RATIO * WEAK_SIGNAL_RATIO);
             if faint { 0.0 } else { MIN_EXPLAINED_RATIO }
         };
+        // What acts in a part is in no model.
+        let everywhere: Vec<bool> = selected.state.items.iter().map(|item| item.span.is_all()).collect();
+        let found = selected.found.iter().zip(&everywhere);
         let mut withheld: Vec<Option<String>> =
-            selected.found.iter().map(|found| too_little(adequacy, found, least(found))).collect();
+            found.map(|(found, all)| too_little(adequacy, found, least(found)).filter(|_| *all)).collect();
         loop {
-            let kept: Vec<bool> = withheld.iter().map(Option::is_none).collect();
+            let kept: Vec<bool> = withheld.iter().zip(&everywhere).map(|(why, all)| why.is_none() && *all).collect();
             let after = self.extended(&selected.state, &kept)?;
             if !kept.contains(&true) {
                 return Ok((after, withheld));
             }
-            let unseen = Unseen::of_model(self.unseen, &after, self.input.unseen());
+            let unseen = Unseen::of_model(self.unseen, &after, self.unseen_without);
             let share = unseen.explained(lacks, &DVector::from_column_slice(&after.identification.beta));
-            for (why, found) in withheld.iter_mut().zip(&selected.found).filter(|(why, _)| why.is_none()) {
-                *why = too_little(&share, found, 0.0);
+            for (index, why) in withheld.iter_mut().enumerate().filter(|(index, _)| kept[*index]) {
+                *why = too_little(&share, &selected.found[index], 0.0);
             }
             if withheld.iter().zip(&kept).any(|(why, kept)| *kept && why.is_some()) {
                 continue;
@@ -155,8 +163,10 @@ impl Delivery<'_> {
             TorqueModel::new("", fitted.structure.clone(), Vec::new(), &fitted.identification.values()).ok()
         };
         let (plain, after) = (model(&plain)?, model(after)?);
-        let along = |model: &TorqueModel, trial: &Trial| Modelled::of(trial.experiment, |motion| model.predict(motion));
-        let each = parallel(runs, self.settings.threads, |trial| (along(&plain, trial), along(&after, trial)));
+        let each = parallel(runs, self.settings.threads, |trial| {
+            let before = Modelled::of(trial.experiment, |motion| plain.predict(motion));
+            (before, Modelled::of(trial.experiment, |motion| after.predict(motion) + self.acting.torque(trial, motion)))
+        });
         let pairs: Vec<_> =
             runs.iter().zip(each).map(|(trial, (plain, after))| (trial.experiment, plain, after)).collect();
         errors::compare(&pairs, self.settings.judged_by)
@@ -183,7 +193,13 @@ impl Delivery<'_> {
         let specs: Vec<Spec> =
             state.items.iter().zip(kept).filter(|(_, kept)| **kept).map(|(item, _)| item.spec.clone()).collect();
         if specs.is_empty() {
-            return Ok(plain());
+            let structure = input.structure.clone();
+            return match self.acting.is_empty() {
+                true => Ok(plain()),
+                false => {
+                    Ok(Fitted { identification: identify_with(&structure, experiments, input.options)?, structure })
+                }
+            };
         }
         let mut beta = state.fit.theta.as_slice().to_vec();
         let mut fitted = plain();

@@ -15,7 +15,7 @@ const FOUND_FLOOR_RATIO: f64 = 0.75;
 pub fn independences<'a>(search: &Search<'a>, base: &State) -> Vec<(&'a Candidate, f64)> {
     let library = search.library;
     let mut seen: Vec<&Candidate> = Vec::new();
-    for item in library {
+    for item in library.iter().filter(|item| item.span.is_all()) {
         if !seen.iter().any(|one| one.same_effect(item)) {
             seen.push(item);
         }

@@ -72,7 +72,7 @@ fn slope(search: &Search, state: &State, index: usize, which: usize) -> Option<R
         let mut settings = item.spec.settings.clone();
         settings[which] = value;
         let spec = Spec { settings, ..item.spec.clone() };
-        let moved = Candidate::of(search.problem.evidence, search.operating_point, spec, item.since)?;
+        let moved = Candidate::of(search.problem.evidence, search.operating_point, spec, item.span)?;
         Some(moved.rows.parts.into_iter().map(|(joint, part)| (joint, part * beta)).collect::<Vec<_>>())
     };
     let (below, above) = (torque(low)?, torque(high)?);

@@ -1,6 +1,7 @@
 //! The whole way: base fit, selection, veto by unseen data, adequacy, verdict.
 
 use super::Settings;
+use super::acting::{self, Acting};
 use super::curves;
 use super::delivery::Delivery;
 use super::detectable;
@@ -17,15 +18,17 @@ use super::outcome::{
     Quantity, Score, Verdict,
 };
 use super::parts::{self, Named};
+use super::reference;
 use super::select::{Scored, Search, Selected, Step};
+use super::span::Span;
 use super::state::State;
 use super::unseen::{Unseen, columns_of};
 use nalgebra::DVector;
 use plumbline_identify::solve::identify_with;
 use plumbline_identify::{EstimateError, Experiment, solve};
-use plumbline_model::Structure;
 use plumbline_model::term::effect;
 use plumbline_model::term::effect::{OperatingPoint, Spec};
+use plumbline_model::{Parameter, Structure};
 
 /// What is diagnosed.
 pub struct Input<'a> {
@@ -39,6 +42,8 @@ pub struct Input<'a> {
     pub judge: &'a [Trial<'a>],
     /// How parameters are identified.
     pub options: &'a solve::Options,
+    /// Parts of the recording in which something may act that does not act in the rest ([`super::changing::Changing::spans`]).
+    pub parts: &'a [Span],
 }
 
 impl<'a> Input<'a> {
@@ -78,7 +83,8 @@ pub fn diagnose(input: &Input, settings: &Settings, progress: &dyn Fn(&Step)) ->
     let base = State::base(&Problem { evidence: &evidence, prior: None }, columns);
     // Columns that depend on the load need parameters: first those of the plain model.
     let operating_point = evidence.operating_point(structure, base.fit.theta.as_slice());
-    let candidates = library(&evidence, &operating_point, &repeatable(), None, settings.threads);
+    let mut candidates = library(&evidence, &operating_point, &repeatable(), Span::ALL, settings.threads);
+    candidates.extend(acting::candidates(&evidence, &operating_point, input.identify, input.parts, settings.threads));
     let problem = Problem { evidence: &evidence, prior: None };
     let search = Search { problem, operating_point: &operating_point, library: &candidates, settings };
     let seeds = seeds(&search, &base);
@@ -96,13 +102,24 @@ pub fn diagnose(input: &Input, settings: &Settings, progress: &dyn Fn(&Step)) ->
         let adequacy = model.explained(&lacks, &selected.state.fit.theta);
         (lacks, adequacy)
     };
-    let delivery =
-        Delivery { input, unseen: &unseen, experiments: &experiments, before: &before, seeds: &seeds, settings };
+    let acting = Acting::of(structure.chain(), &selected.state, operating_point);
+    let without = [input.identify, input.unseen()].map(|trials| acting.taken_off(trials));
+    let unseen_without = trials_of(&without[1], input.unseen());
+    let delivery = Delivery {
+        input,
+        unseen: &unseen,
+        unseen_without: &unseen_without,
+        experiments: &without[0],
+        acting: &acting,
+        before: &before,
+        seeds: &seeds,
+        settings,
+    };
     let full = matches!(confirmation(&evidence), Confirmation::Full { .. });
     let confirmed: Vec<bool> = selected.found.iter().map(|found| full && found.folds.confirm() == Some(true)).collect();
     let (after, withheld) = delivery.of(&selected, &lacks, &adequacy, &confirmed)?;
     let kept: Vec<bool> = withheld.iter().map(Option::is_none).collect();
-    let effects = effects_of(&search, &selected, &withheld, &confirmed, &adequacy, &after);
+    let effects = effects_of(input, &search, &selected, &withheld, &confirmed, &adequacy, &after);
     // The residual of the delivered model.
     let left = if kept.iter().any(|kept| *kept) { &selected.state } else { &base };
     let left_out = (evidence.folds().len() > 1).then(|| gates::left_out(&search.problem, &base, left));
@@ -116,7 +133,9 @@ pub fn diagnose(input: &Input, settings: &Settings, progress: &dyn Fn(&Step)) ->
     let compared = delivery.compared(&after);
     let independences = detectable::independences(&search, &base);
     let all_unseen: Vec<Trial> = [input.veto, input.judge].concat();
-    let disagreements = disagreements(structure.chain(), &evidence, input.identify, &all_unseen, &after, settings.band);
+    let all_without = acting.taken_off(&all_unseen);
+    let (identified, all_without) = (trials_of(&without[0], input.identify), trials_of(&all_without, &all_unseen));
+    let disagreements = disagreements(structure.chain(), &evidence, &identified, &all_without, &after, settings.band);
     let mut diagnosis = Diagnosis {
         verdict: verdict(&effects, residuals.is_empty() && disagreements.is_empty()),
         confirmation: Some(confirmation(&evidence)),
@@ -234,10 +253,16 @@ fn seeds(search: &Search, base: &State) -> Vec<Candidate> {
         return Vec::new();
     }
     let offset = |item: &&Candidate| {
-        item.spec.family().is_ok_and(|family| family.rare.in_every_arm)
+        item.span.is_all()
+            && item.spec.family().is_ok_and(|family| family.rare.in_every_arm)
             && base.try_in(&search.problem, item).is_some_and(|tried| tried.independence > MIN_INDEPENDENCE_RATIO)
     };
     search.library.iter().filter(offset).cloned().collect()
+}
+
+/// Other experiments of the same runs.
+fn trials_of<'a>(experiments: &'a [Experiment], trials: &[Trial]) -> Vec<Trial<'a>> {
+    experiments.iter().zip(trials).map(|(experiment, trial)| Trial { experiment, ..*trial }).collect()
 }
 
 fn confirmation(evidence: &Evidence) -> Confirmation {
@@ -257,6 +282,11 @@ fn vetoed(search: &Search, mut selected: Selected, input: &Input, settings: &Set
     let mut item = 0;
     while item < selected.state.items.len() {
         let state = &selected.state;
+        if !acting::any_in(state.items[item].span, input.veto) {
+            // These runs say nothing about it.
+            item += 1;
+            continue;
+        }
         let unseen = Unseen::of(&evidence, input.structure, input.veto, state, search.operating_point);
         let rest = state.without(&search.problem, item);
         // The parameters without it, at their places among the columns with it.
@@ -287,6 +317,7 @@ fn vetoed(search: &Search, mut selected: Selected, input: &Input, settings: &Set
 }
 
 fn effects_of(
+    input: &Input,
     search: &Search,
     selected: &Selected,
     withheld: &[Option<String>],
@@ -296,9 +327,12 @@ fn effects_of(
 ) -> Vec<Effect> {
     let state = &selected.state;
     let deviations = Deviations::of(search, state);
+    let columns = after.structure.columns().iter().zip(after.identification.values());
+    let stored: Vec<Parameter> =
+        columns.map(|(column, (value, std))| Parameter { column: column.clone(), value, std }).collect();
     let mut effects = Vec::new();
     for (index, (item, found)) in state.items.iter().zip(&selected.found).enumerate() {
-        let in_model = withheld[index].is_none();
+        let in_model = withheld[index].is_none() && item.span.is_all();
         let names = item.spec.build(search.operating_point).map(|term| term.columns()).unwrap_or_default();
         let fitted = |k: usize| {
             let at = state.range(index).start + k;
@@ -313,7 +347,10 @@ fn effects_of(
             let std = std.map(|std| std * deviations.growth(state, state.range(index).start + k));
             Quantity { std, ..Quantity::new(&column.name, value, column.unit) }
         };
-        let linear: Vec<Quantity> = names.iter().enumerate().map(estimate).collect();
+        let mut linear: Vec<Quantity> = names.iter().enumerate().map(estimate).collect();
+        if !item.span.is_all() {
+            linear = reference::change(search, state, index, found.clone()).quantities(&stored, None);
+        }
         let joint = found.relevance.joint;
         let effect = Effect {
             parameters: Parameters(settings_of(item, index, &deviations).into_iter().chain(linear.clone()).collect()),
@@ -322,7 +359,7 @@ fn effects_of(
             confirmed: confirmed[index],
             in_model,
             withheld: withheld[index].clone(),
-            since_session: item.since,
+            acts: acting::acts(item.span, input.identify),
             ..found.effect(&item.spec)
         };
         effects.push(Named { spec: item.spec.clone(), linear, effect });
@@ -393,8 +430,9 @@ fn residuals(
 }
 
 fn verdict(effects: &[Effect], complete: bool) -> Verdict {
-    let found = effects.iter().any(|effect| effect.in_model);
-    let rivals = effects.iter().any(|effect| effect.in_model && !effect.alternatives.is_empty());
+    let counts = |effect: &&Effect| effect.in_model || effect.acts.is_some();
+    let found = effects.iter().any(|effect| counts(&effect));
+    let rivals = effects.iter().filter(counts).any(|effect| !effect.alternatives.is_empty());
     match (found, !complete) {
         (false, false) => Verdict::NothingSignificant,
         (false, true) => Verdict::Unexplained,

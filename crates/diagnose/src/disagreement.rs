@@ -13,12 +13,22 @@ use plumbline_model::Chain;
 /// Smallest ratio of an unseen run's RMS to the expected one.
 const MIN_RMS_RATIO: f64 = 2.0;
 
+impl Disagreement {
+    /// Whether a run with this residual \[Nm\] would agree.
+    pub fn is_explained_at(&self, rms: f64) -> bool {
+        rms <= MIN_RMS_RATIO * self.expected
+    }
+}
+/// Errors of the parameters to expect, in their standard deviations.
+const PARAMETER_DEVIATIONS: f64 = 1.5;
+
 /// Runs in which a joint's residual exceeds twice the expected RMS, the worst joint of each run, in the order of `unseen`. Expected are the noise,
 /// what the model lacks in the runs it was identified from, and the errors of its parameters:
 ///
-///   E = sqrt(noise^2 + lack^2 + mean_k(m_k' C m_k))
+///   E = sqrt(noise^2 + lack^2 + 1.5^2 mean_k(m_k' C m_k))
 ///
-/// with `m_k` the row of sample k and `C` the covariance of the parameters. `identified` are the runs that `fitted` was identified from, in `evidence`.
+/// with `m_k` the row of sample k and `C` the covariance of the parameters: the noise is an average over many samples, but all samples share the errors of
+/// the parameters, which are often larger than their standard deviation. `identified` are the runs that `fitted` was identified from, in `evidence`.
 pub fn disagreements(
     chain: &Chain,
     evidence: &Evidence,
@@ -47,7 +57,7 @@ pub fn disagreements(
         let joint = |joint: usize| {
             let square = mean_square(&of_run, joint, &model.residual(joint, &beta));
             let parameters = model.variance(joint, &fitted.identification.covariance);
-            let expected = noise[joint] / periods + lacks[joint] + parameters;
+            let expected = noise[joint] / periods + lacks[joint] + PARAMETER_DEVIATIONS.powi(2) * parameters;
             Disagreement {
                 run: trial.experiment.name.clone(),
                 joint: joint + 1,

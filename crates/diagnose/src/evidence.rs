@@ -7,11 +7,13 @@
 //! noise, which repetitions tell; without them by 1 Nm, and the scale of each band is estimated with the model.
 
 use super::fold::{BLOCK_LIMITS_S, Fold, Thinned, Thinning, folds_of};
+use super::span::Span;
 use nalgebra::{DMatrix, DVector};
-use plumbline_identify::Experiment;
+use plumbline_identify::{Experiment, Timeline};
 use plumbline_model::term::effect::OperatingPoint;
 use plumbline_model::term::{Motion, Term};
 use plumbline_model::{Chain, Structure};
+use std::collections::BTreeMap;
 use std::ops::Range;
 
 /// Upper edges of the bands that have a scale of their own \[Hz\].
@@ -43,6 +45,20 @@ pub struct Rows {
     pub parts: Vec<(usize, DMatrix<f64>)>,
 }
 
+impl Rows {
+    /// Without the folds that begin outside a part of the recording.
+    pub fn in_folds(&self, evidence: &Evidence, span: Span) -> Rows {
+        let begins = evidence.begins();
+        let outside = || evidence.folds.iter().zip(&begins).filter(|(_, begin)| !(span.from..span.to).contains(begin));
+        let part = |(joint, part): &(usize, DMatrix<f64>)| {
+            let mut part = part.clone();
+            outside().for_each(|(fold, _)| part.rows_mut(fold.rows.start, fold.rows.len()).fill(0.0));
+            part.iter().any(|value| *value != 0.0).then_some((*joint, part))
+        };
+        Rows { width: self.width, parts: self.parts.iter().filter_map(part).collect() }
+    }
+}
+
 /// The maps from samples to coefficients for a set of experiments.
 #[derive(Clone, Debug)]
 pub struct Evidence {
@@ -53,7 +69,16 @@ pub struct Evidence {
     sigma: Vec<Vec<f64>>,
     repeats: bool,
     motions: Vec<Thinned>,
+    recorded: Vec<Recorded>,
     chain: Chain,
+}
+
+/// When the samples of an experiment were recorded.
+#[derive(Clone, Debug)]
+struct Recorded {
+    /// Begin of its run on the clock of the recording \[s\].
+    start: f64,
+    timeline: Timeline,
 }
 
 /// One run to be diagnosed.
@@ -63,6 +88,33 @@ pub struct Trial<'a> {
     pub experiment: &'a Experiment,
     /// Its session, 1 for the first.
     pub session: u32,
+    /// Its begin on the clock of the recording \[s\].
+    pub start: f64,
+}
+
+impl Recorded {
+    /// Share of every sample that was recorded in a part of the recording.
+    fn share_in(&self, span: Span) -> Vec<f64> {
+        self.timeline.share_between(span.from - self.start, span.to - self.start)
+    }
+}
+
+impl<'a> Trial<'a> {
+    /// A run that is alone in its recording.
+    pub fn alone(experiment: &'a Experiment) -> Trial<'a> {
+        Trial { experiment, session: 1, start: 0.0 }
+    }
+
+    /// Runs of one session, one after the other.
+    pub fn in_turn(experiments: &'a [Experiment]) -> Vec<Trial<'a>> {
+        let mut start = 0.0;
+        let trial = |experiment: &'a Experiment| {
+            let trial = Trial { experiment, session: 1, start };
+            start += experiment.timeline.end();
+            trial
+        };
+        experiments.iter().map(trial).collect()
+    }
 }
 
 impl Evidence {
@@ -76,6 +128,7 @@ impl Evidence {
             .sum();
         let length = (free / WANTED_BLOCKS).clamp(BLOCK_LIMITS_S.0, BLOCK_LIMITS_S.1);
         let (mut folds, mut motions) = (Vec::new(), Vec::new());
+        let recorded = |trial: &Trial| Recorded { start: trial.start, timeline: trial.experiment.timeline.clone() };
         for (index, trial) in trials.iter().enumerate() {
             let thinned = Thinned::of(&trial.experiment.motion);
             for fold in folds_of(index, trial.experiment, trial.session, band, length, thinned.step) {
@@ -96,7 +149,16 @@ impl Evidence {
         }
         let repeats = trials.iter().all(|trial| trial.experiment.scatter.is_some());
         let sigma = (0..joints).map(|joint| noise(trials, &folds, joint, repeats)).collect();
-        Evidence { joints, folds, cells, sigma, repeats, motions, chain: chain.clone() }
+        Evidence {
+            joints,
+            folds,
+            cells,
+            sigma,
+            repeats,
+            motions,
+            recorded: trials.iter().map(recorded).collect(),
+            chain: chain.clone(),
+        }
     }
 
     /// Number of joints, n.
@@ -158,26 +220,27 @@ impl Evidence {
         structure.operating_point(beta).known_along(self.motions.iter().flat_map(|own| [&own.whole, &own.few]))
     }
 
-    /// Columns of a term at the rate of candidates, in the folds of sessions from `since` on where that is given.
+    /// Columns of a term at the rate of candidates, of an effect that acts in a part of the recording.
     ///
     /// Terms that are smooth in time are computed for some of the samples alone.
-    pub fn columns(&self, term: &dyn Term, since: Option<u32>) -> Rows {
-        self.look(term, since, false)
+    pub fn columns(&self, term: &dyn Term, span: Span) -> Rows {
+        self.look(term, span, false)
     }
 
     /// Nearly the same in a fraction of the time, for terms that integrate in time.
-    pub fn sketch(&self, term: &dyn Term, since: Option<u32>) -> Rows {
-        self.look(term, since, true)
+    pub fn sketch(&self, term: &dyn Term, span: Span) -> Rows {
+        self.look(term, span, true)
     }
 
-    fn look(&self, term: &dyn Term, since: Option<u32>, rough: bool) -> Rows {
+    fn look(&self, term: &dyn Term, span: Span, rough: bool) -> Rows {
         let width = term.columns().len();
         let mut parts: Vec<Option<DMatrix<f64>>> = vec![None; self.joints];
         // One piece of memory for all motions: fresh pages cost more than what is computed into them.
         let mut buffer = Vec::new();
         for (index, Thinned { whole, few, step }) in self.motions.iter().enumerate() {
             let own: Vec<&Fold> = self.folds.iter().filter(|fold| fold.experiment == index).collect();
-            if !own.iter().any(|fold| since.is_none_or(|since| fold.session >= since)) {
+            let share = (!span.is_all()).then(|| self.recorded[index].share_in(span));
+            if share.as_ref().is_some_and(|share| share.iter().all(|share| *share == 0.0)) {
                 continue;
             }
             let means = rough && whole.periodic && term.integrates();
@@ -194,6 +257,13 @@ impl Evidence {
                 term.fill_means(&self.chain, motion, &mut y, 0);
             } else {
                 term.fill(&self.chain, motion, &mut y, 0);
+            }
+            if let Some(share) = share {
+                let (first, every) = if std::ptr::eq(motion, whole) { (0, 1) } else { (step / 2, *step) };
+                let share: Vec<f64> = share.into_iter().skip(first).step_by(every).take(samples).collect();
+                for column in y.as_mut_slice().chunks_exact_mut(samples) {
+                    column.iter_mut().zip(&share).for_each(|(value, share)| *value *= share);
+                }
             }
             let mut blocks = Vec::new();
             for (joint, part) in parts.iter_mut().enumerate() {
@@ -223,6 +293,37 @@ impl Evidence {
             Some((joint, part))
         };
         Rows { width, parts: parts.into_iter().enumerate().filter_map(whiten).collect() }
+    }
+
+    /// Begin of the first run of each session on the clock of the recording, in the order of the sessions.
+    pub fn sessions(&self) -> BTreeMap<u32, f64> {
+        let mut starts = BTreeMap::new();
+        for fold in &self.folds {
+            let start = self.recorded[fold.experiment].start;
+            starts.entry(fold.session).and_modify(|first: &mut f64| *first = first.min(start)).or_insert(start);
+        }
+        starts
+    }
+
+    /// Begin of each fold on the clock of the recording \[s\].
+    pub fn begins(&self) -> Vec<f64> {
+        let begin = |fold: &Fold| {
+            let Recorded { start, timeline } = &self.recorded[fold.experiment];
+            // The first of a run has what lies before its samples.
+            if fold.samples.start == 0 { *start } else { start + timeline.time(fold.samples.start) }
+        };
+        self.folds.iter().map(begin).collect()
+    }
+
+    /// Length of the block of a motion that does not repeat that begins at a time \[s\]; `None` where there is none.
+    pub fn length_of_block_at(&self, begin: f64) -> Option<f64> {
+        let fold = self.begins().iter().position(|own| (own - begin).abs() < 1e-9)?;
+        if self.folds[fold].samples.start == 0 {
+            return None;
+        }
+        let Fold { experiment, samples, .. } = &self.folds[fold];
+        let Motion { dt, periodic, .. } = self.motions[*experiment].whole;
+        (!periodic).then_some(samples.len() as f64 * dt)
     }
 
     /// The motion of each experiment at the rate of candidates.

@@ -74,6 +74,37 @@ pub fn group(joint: usize, band: usize) -> usize {
     joint * BAND_EDGES_HZ.len() + band
 }
 
+/// Sums of normal equations over the cells of each group.
+struct Grouped {
+    width: usize,
+    sums: Vec<Option<(DMatrix<f64>, DVector<f64>)>>,
+    /// Squares of the torques.
+    r2: Vec<f64>,
+    /// Rows.
+    count: Vec<f64>,
+}
+
+/// A fit without the sums that it came from.
+struct Estimate {
+    theta: DVector<f64>,
+    h: DMatrix<f64>,
+    weights: Vec<f64>,
+    phi: Vec<f64>,
+    rss: Vec<f64>,
+    likelihood: f64,
+}
+
+impl Estimate {
+    fn into_fit(self, grouped: Grouped) -> Fit {
+        let Estimate { theta, h, weights, phi, rss, likelihood } = self;
+        let Grouped { mut sums, count, .. } = grouped;
+        for (own_g, own_b) in sums.iter_mut().flatten() {
+            own_b.gemv(-1.0, own_g, &theta, 1.0);
+        }
+        Fit { theta, h, weights, phi, rss, count, likelihood, sums }
+    }
+}
+
 /// A model, its data and how its noise is known.
 pub struct Problem<'a> {
     /// The evidence.
@@ -127,34 +158,52 @@ impl Problem<'_> {
         -0.5 * rss.iter().zip(count).zip(&phi).map(group).sum::<f64>()
     }
 
-    /// Fits a model to the chosen folds, with weights that settle from `phi` on.
+    /// Fits a model to the chosen folds. The weights settle from `phi` on, and where the noise is known once more from that of the noise alone: a model
+    /// that lacked much has no weight left where it did, and settles there although it lacks nothing any more. The likelier fit is taken.
     pub fn fit(&self, moments: &Moments, chosen: Chosen, phi: Option<&[f64]>) -> Fit {
-        let phi = phi.map_or_else(|| vec![1.0; self.groups()], <[f64]>::to_vec);
-        let mut fit = self.weighted(moments, chosen, &phi);
+        let grouped = self.grouped(moments, chosen);
+        let ones = vec![1.0; self.groups()];
+        let mut best = self.settled(&grouped, phi.unwrap_or(&ones));
+        if phi.is_some() && self.evidence.repeats() {
+            let afresh = self.settled(&grouped, &ones);
+            if afresh.likelihood > best.likelihood {
+                best = afresh;
+            }
+        }
+        best.into_fit(grouped)
+    }
+
+    fn settled(&self, grouped: &Grouped, phi: &[f64]) -> Estimate {
+        let mut fit = self.estimate(grouped, phi);
         for _ in 1..MAX_WEIGHT_ROUNDS {
             let settled = |(new, old): (&f64, &f64)| (new / old).ln().abs() < SETTLED_LOG_RATIO;
             if fit.phi.iter().zip(&fit.weights).all(settled) {
                 break;
             }
-            fit = self.weighted(moments, chosen, &fit.phi);
+            fit = self.estimate(grouped, &fit.phi);
         }
         fit
     }
 
     /// One fit with given weights.
     pub fn weighted(&self, moments: &Moments, chosen: Chosen, phi: &[f64]) -> Fit {
-        let p = moments.width;
-        let (mut g, mut b) = (DMatrix::zeros(p, p), DVector::zeros(p));
-        let mut per_group: Vec<Option<(DMatrix<f64>, DVector<f64>)>> = vec![None; self.groups()];
-        let (mut rss, mut count) = (vec![0.0; self.groups()], vec![0.0; self.groups()]);
+        let grouped = self.grouped(moments, chosen);
+        self.estimate(&grouped, phi).into_fit(grouped)
+    }
+
+    /// Sums over the cells of each group.
+    fn grouped(&self, moments: &Moments, chosen: Chosen) -> Grouped {
+        let groups = self.groups();
+        let mut grouped =
+            Grouped { width: moments.width, sums: vec![None; groups], r2: vec![0.0; groups], count: vec![0.0; groups] };
         for (cell, own) in self.evidence.cells().iter().zip(&moments.cells) {
             if !chosen(cell.fold) {
                 continue;
             }
             let at = group(cell.joint, cell.band);
-            rss[at] += own.r2;
-            count[at] += own.count as f64;
-            match &mut per_group[at] {
+            grouped.r2[at] += own.r2;
+            grouped.count[at] += own.count as f64;
+            match &mut grouped.sums[at] {
                 Some((sum, vector)) => {
                     *sum += &own.g;
                     *vector += &own.b;
@@ -162,7 +211,13 @@ impl Problem<'_> {
                 empty => *empty = Some((own.g.clone(), own.b.clone())),
             }
         }
-        for (at, sums) in per_group.iter().enumerate() {
+        grouped
+    }
+
+    fn estimate(&self, grouped: &Grouped, phi: &[f64]) -> Estimate {
+        let p = grouped.width;
+        let (mut g, mut b) = (DMatrix::zeros(p, p), DVector::zeros(p));
+        for (at, sums) in grouped.sums.iter().enumerate() {
             if let Some((own_g, own_b)) = sums {
                 g.zip_apply(own_g, |sum, own| *sum += own / phi[at]);
                 b.axpy(1.0 / phi[at], own_b, 1.0);
@@ -171,17 +226,17 @@ impl Problem<'_> {
         self.add_prior(&mut g);
         let h = inverse(&g);
         let theta = &h * b;
-        for (at, sums) in per_group.iter_mut().enumerate() {
+        let mut rss = grouped.r2.clone();
+        for (rss, sums) in rss.iter_mut().zip(&grouped.sums) {
             if let Some((own_g, own_b)) = sums {
-                let fitted = &*own_g * &theta;
-                rss[at] = (rss[at] - 2.0 * theta.dot(own_b) + fitted.dot(&theta)).max(0.0);
-                *own_b -= fitted;
+                let fitted = own_g * &theta;
+                *rss = (*rss - 2.0 * theta.dot(own_b) + fitted.dot(&theta)).max(0.0);
             }
         }
         let weights = phi.to_vec();
-        let phi = self.phi(&rss, &count);
-        let likelihood = self.likelihood(&rss, &count) + self.of_prior(&theta);
-        Fit { theta, h, weights, phi, rss, count, likelihood, sums: per_group }
+        let phi = self.phi(&rss, &grouped.count);
+        let likelihood = self.likelihood(&rss, &grouped.count) + self.of_prior(&theta);
+        Estimate { theta, h, weights, phi, rss, likelihood }
     }
 
     /// Parameters that all folds but one determine, under given weights, for each fold in turn.

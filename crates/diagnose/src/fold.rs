@@ -42,7 +42,7 @@ enum Waves {
 
 /// Discrete cosine transform of a block (DCT-II, orthonormal).
 #[derive(Clone, Debug)]
-struct Cosines {
+pub(super) struct Cosines {
     spectral: Arc<Spectral>,
     /// Cosine and sine of `pi k / (2 N)` for the coefficients `k` up to half of them.
     turns: Vec<(f64, f64)>,
@@ -50,7 +50,7 @@ struct Cosines {
 }
 
 impl Cosines {
-    fn new(samples: usize) -> Cosines {
+    pub fn new(samples: usize) -> Cosines {
         let spectral = Arc::new(Spectral::new(samples, 1.0));
         let turn = |k: usize| (PI * k as f64 / (2 * samples) as f64).sin_cos();
         let turns = (0..spectral.bins()).map(turn).map(|(sin, cos)| (cos, sin)).collect();
@@ -64,7 +64,7 @@ impl Cosines {
 
     /// The first coefficients: `c_k = s_k sum_m x_m cos(pi k (m + 1/2) / N)`, by a Fourier transform of the even samples followed by the odd ones
     /// backwards (Makhoul, IEEE Trans. ASSP 28, 1980).
-    fn transform(&self, x: &[f64], out: &mut [f64]) {
+    pub fn transform(&self, x: &[f64], out: &mut [f64]) {
         let n = self.samples;
         let even = x.iter().step_by(2);
         let odd = x[1..].iter().step_by(2).rev();

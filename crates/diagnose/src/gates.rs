@@ -63,13 +63,14 @@ pub fn folds(problem: &Problem, state: &State, tried: &Tried) -> FoldTest {
     }
     let phi = &tried.fit.phi;
     let shares = shares(problem, state, tried);
+    let alone = alone(problem, tried);
     let known = problem.evidence.repeats();
     let with = problem.left_out(&tried.moments, phi);
     let without = if tried.held { Vec::new() } else { problem.left_out(&state.moments, phi) };
     // Per joint: weighted and plain error, each without and with the candidate.
     let mut errors = vec![[[0.0; 2]; 2]; problem.evidence.joints()];
     for (fold, share) in shares.into_iter().enumerate() {
-        let informative = (INFORMATIVE_RATIOS.0..=INFORMATIVE_RATIOS.1).contains(&share);
+        let informative = (INFORMATIVE_RATIOS.0..=INFORMATIVE_RATIOS.1).contains(&share) && !alone.contains(&fold);
         // With known noise, only the sign of the change is used.
         if known && !informative {
             continue;
@@ -119,6 +120,19 @@ pub fn left_out(problem: &Problem, before: &State, after: &State) -> Vec<[f64; 2
         }
     }
     errors.into_iter().map(|sums| sums.map(|sum| (sum / evidence.samples()).sqrt())).collect()
+}
+
+/// Folds that are the only one in which a candidate acts, or the only one in which it does not: without such a fold, nothing tells the candidate
+/// from the other columns.
+fn alone(problem: &Problem, tried: &Tried) -> Vec<usize> {
+    let evidence = problem.evidence;
+    let mut acts = vec![false; evidence.folds().len()];
+    tried.cross.cells.iter().for_each(|(cell, _)| acts[evidence.cells()[*cell].fold] = true);
+    let only = |value: bool| {
+        let mut folds = (0..acts.len()).filter(|&fold| acts[fold] == value);
+        folds.next().filter(|_| folds.next().is_none())
+    };
+    [true, false].into_iter().filter_map(only).collect()
 }
 
 /// Share of each fold in the energy of the torque that the candidate changes.

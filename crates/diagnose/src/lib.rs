@@ -20,10 +20,9 @@
 //! use plumbline_model::Structure;
 //!
 //! fn lacking(model: &Structure, fitted: &[Experiment], unseen: &[Experiment]) -> Result<(), Box<dyn std::error::Error>> {
-//!     let trials = |runs| Vec::from_iter(<[Experiment]>::iter(runs).map(|experiment| Trial { experiment, session: 1 }));
-//!     let (identify, veto) = (trials(fitted), trials(unseen));
-//!     let input =
-//!         Input { structure: model, identify: &identify, veto: &veto, judge: &[], options: &solve::Options::default() };
+//!     let (identify, veto) = (Trial::in_turn(fitted), Trial::in_turn(unseen));
+//!     let options = &solve::Options::default();
+//!     let input = Input { structure: model, identify: &identify, veto: &veto, judge: &[], options, parts: &[] };
 //!     let outcome = diagnose(&input, &Settings::default(), &|_| {})?;
 //!     println!("{}: {} effects", outcome.diagnosis.verdict, outcome.diagnosis.effects.len());
 //!     Ok(())
@@ -32,6 +31,7 @@
 
 #![forbid(unsafe_code)]
 
+mod acting;
 pub mod changing;
 mod curves;
 mod delivery;
@@ -54,6 +54,7 @@ mod parts;
 pub mod reference;
 mod search;
 mod select;
+mod span;
 mod state;
 mod unseen;
 
@@ -67,6 +68,7 @@ pub use library::{Candidate, library};
 pub use moments::Columns;
 pub use outcome::{Confirmation, Diagnosis, Disagreement, Effect, Fitted, JointFacts, Outcome, Verdict};
 pub use select::{Rival, Scored, Search, Selected, Step};
+pub use span::Span;
 pub use state::{State, mean_square};
 
 /// How a diagnosis is done.

@@ -1,6 +1,7 @@
 //! The candidates: every family at every site, in every form, at every start value of its settings.
 
 use super::evidence::{Evidence, Rows};
+use super::span::Span;
 use plumbline_core::parallel;
 use plumbline_model::term::effect::{Family, Form, OperatingPoint, Site, Spec, Stratum};
 use plumbline_model::term::{Expected, Term};
@@ -10,8 +11,8 @@ use plumbline_model::term::{Expected, Term};
 pub struct Candidate {
     /// What it is.
     pub spec: Spec,
-    /// First session that has it; all where absent.
-    pub since: Option<u32>,
+    /// Where in the recording it acts.
+    pub span: Span,
     /// Its columns on the evidence.
     pub rows: Rows,
     /// Range of its only parameter.
@@ -23,30 +24,26 @@ const MAX_PARAMETER_RATIO: f64 = 2.0;
 
 impl Candidate {
     /// Evaluates the columns; `None` when they can't be built or are zero in this data.
-    pub fn of(
-        evidence: &Evidence,
-        operating_point: &OperatingPoint,
-        spec: Spec,
-        since: Option<u32>,
-    ) -> Option<Candidate> {
+    pub fn of(evidence: &Evidence, operating_point: &OperatingPoint, spec: Spec, span: Span) -> Option<Candidate> {
         let term = spec.build(operating_point).ok()?;
-        Candidate::with(&*term, evidence.columns(&*term, since), spec, since)
+        Candidate::with(&*term, evidence.columns(&*term, span), spec, span)
     }
 
     /// Approximate and faster for effects that are integrated in time; used to screen candidates.
-    pub fn sketch(
-        evidence: &Evidence,
-        operating_point: &OperatingPoint,
-        spec: Spec,
-        since: Option<u32>,
-    ) -> Option<Candidate> {
+    pub fn sketch(evidence: &Evidence, operating_point: &OperatingPoint, spec: Spec, span: Span) -> Option<Candidate> {
         let term = spec.build(operating_point).ok()?;
-        Candidate::with(&*term, evidence.sketch(&*term, since), spec, since)
+        Candidate::with(&*term, evidence.sketch(&*term, span), spec, span)
     }
 
-    fn with(term: &dyn Term, rows: Rows, spec: Spec, since: Option<u32>) -> Option<Candidate> {
+    fn with(term: &dyn Term, rows: Rows, spec: Spec, span: Span) -> Option<Candidate> {
         let finite = rows.parts.iter().all(|(_, part)| part.iter().all(|value| value.is_finite()));
-        (finite && !rows.parts.is_empty()).then_some(Candidate { spec, since, rows, expected: term.expects() })
+        (finite && !rows.parts.is_empty()).then_some(Candidate { spec, span, rows, expected: term.expects() })
+    }
+
+    /// The same effect in a part of the recording that consists of whole folds; `None` where its columns are zero there.
+    pub fn in_folds(&self, evidence: &Evidence, span: Span) -> Option<Candidate> {
+        let rows = self.rows.in_folds(evidence, span);
+        (!rows.parts.is_empty()).then(|| Candidate { rows, span, ..self.clone() })
     }
 
     /// Plausibility of the parameter, 0 to 1: 0 for a negative gap, less than 1 for a gap that differs from the setting that its column was evaluated
@@ -79,9 +76,9 @@ impl Candidate {
         grown.map(start).collect()
     }
 
-    /// Number of parameters: linear and nonlinear.
+    /// Number of parameters: linear and nonlinear, the begin of a part among them.
     pub fn parameters(&self) -> usize {
-        self.rows.width + self.spec.settings.len()
+        self.rows.width + self.spec.settings.len() + usize::from(!self.span.is_all())
     }
 
     /// Joints whose torque it touches.
@@ -91,19 +88,19 @@ impl Candidate {
 
     /// Whether the other is the same effect but for its settings.
     pub fn alike(&self, other: &Candidate) -> bool {
-        self.is_of(&other.spec, other.since)
+        self.is_of(&other.spec, other.span)
     }
 
     /// Whether it is this effect but for its settings.
-    pub fn is_of(&self, spec: &Spec, since: Option<u32>) -> bool {
-        let key = |spec: &Spec, since| (spec.family, spec.form, spec.site, since);
-        key(&self.spec, self.since) == key(spec, since)
+    pub fn is_of(&self, spec: &Spec, span: Span) -> bool {
+        let key = |spec: &Spec| (spec.family, spec.form, spec.site);
+        key(&self.spec) == key(spec) && self.span.begins_near(span)
     }
 
     /// Whether the other is of the same family, at the same place.
     pub fn same_effect(&self, other: &Candidate) -> bool {
-        let key = |one: &Candidate| (one.spec.family, one.spec.site, one.since);
-        key(self) == key(other)
+        let key = |one: &Candidate| (one.spec.family, one.spec.site);
+        key(self) == key(other) && self.span.begins_near(other.span)
     }
 }
 
@@ -112,7 +109,7 @@ pub fn library(
     evidence: &Evidence,
     operating_point: &OperatingPoint,
     families: &[&'static Family],
-    since: Option<u32>,
+    span: Span,
     threads: usize,
 ) -> Vec<Candidate> {
     let mut specs = Vec::new();
@@ -131,7 +128,7 @@ pub fn library(
             }
         }
     }
-    parallel(&specs, threads, |spec| Candidate::sketch(evidence, operating_point, spec.clone(), since))
+    parallel(&specs, threads, |spec| Candidate::sketch(evidence, operating_point, spec.clone(), span))
         .into_iter()
         .flatten()
         .collect()
@@ -165,7 +162,7 @@ mod tests {
     fn a_parameter_has_to_be_what_the_effect_can_have() {
         let of = |expected| {
             let spec = Spec { family: "backlash", form: "", site: Site::Joint(0), settings: vec![1e-3] };
-            Candidate { spec, since: None, rows: Rows { width: 1, parts: Vec::new() }, expected }
+            Candidate { spec, span: Span::ALL, rows: Rows { width: 1, parts: Vec::new() }, expected }
         };
         assert!(of(Expected::Any).allows(&[-1.0]));
         assert!(of(Expected::NotNegative).allows(&[1e-4]) && !of(Expected::NotNegative).allows(&[-1e-4]));

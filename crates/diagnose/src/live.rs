@@ -158,7 +158,7 @@ pub enum Found {
 
 /// Searches the time since the model was lost. `find` and `judge` are two motions of it, prepared alike.
 pub fn search(model: &TorqueModel, find: &Experiment, judge: &Experiment, settings: &Settings) -> Found {
-    let trials = [Trial { experiment: find, session: 1 }];
+    let trials = [Trial::alone(find)];
     let Changes { effects, .. } = reference::changes(model, &trials, settings, &|_| {});
     let error = |model: &TorqueModel| rms(&residual(model, judge), inside(judge));
     let before = error(model);

@@ -94,6 +94,9 @@ impl Columns {
             let Some((_, part)) = rows.parts.iter().find(|(joint, _)| *joint == cell.joint) else { continue };
             let m = self.m[cell.joint].rows(cell.rows.start, cell.rows.len());
             let c = part.rows(cell.rows.start, cell.rows.len());
+            if c.iter().all(|value| *value == 0.0) {
+                continue;
+            }
             let r = self.r[cell.joint].rows(cell.rows.start, cell.rows.len());
             cells.push((index, CrossMoment { a: m.tr_mul(&c), c: c.tr_mul(&c), d: c.tr_mul(&r) }));
         }

@@ -10,6 +10,7 @@ use super::gates::{self, FoldTest, Relevance};
 use super::library::Candidate;
 use super::outcome::{self, Alternative, Effect};
 use super::search;
+use super::span::Span;
 use super::state::{State, Tried, every};
 use plumbline_core::parallel;
 use plumbline_model::term::effect::{OperatingPoint, Setting, Spec};
@@ -20,6 +21,8 @@ const MAX_SHORTLISTED: usize = 16;
 const MAX_GROWN_FORMS: usize = 4;
 /// Smallest gain at the start of a search for several settings, as a share of the penalty.
 const MIN_START_GAIN_RATIO: f64 = 0.5;
+/// Resolution of the begin of an effect in a motion that does not repeat \[s\].
+const BEGIN_RESOLUTION_S: f64 = 0.05;
 /// Candidates above this share of the best score are tied, where the noise is unknown.
 const TIE_RATIO: f64 = 0.8;
 /// Largest score difference of a rival that the data cannot separate from the chosen effect.
@@ -199,10 +202,10 @@ impl<'a> Search<'a> {
             let theta = &one.tried.fit.theta;
             let parameters = theta.rows(theta.len() - one.item.rows.width, one.item.rows.width);
             for spec in one.item.grown(parameters.as_slice()) {
-                let since = one.item.since;
-                let known = state.items.iter().chain(&grown_forms).any(|own| own.is_of(&spec, since));
+                let span = one.item.span;
+                let known = state.items.iter().chain(&grown_forms).any(|own| own.is_of(&spec, span));
                 if !known && grown_forms.len() < MAX_GROWN_FORMS {
-                    let form = Candidate::of(self.evidence(), self.operating_point, spec, since);
+                    let form = Candidate::of(self.evidence(), self.operating_point, spec, span);
                     grown_forms.extend(form.filter(|form| wanted(form)));
                 }
             }
@@ -243,7 +246,7 @@ impl<'a> Search<'a> {
             Spec { settings: form.settings.iter().zip(shares).map(setting).collect(), ..item.spec.clone() }
         };
         let at = |shares: &[f64]| {
-            let sketch = Candidate::sketch(self.evidence(), self.operating_point, spec_at(shares), item.since);
+            let sketch = Candidate::sketch(self.evidence(), self.operating_point, spec_at(shares), item.span);
             sketch.map_or(f64::NEG_INFINITY, |sketch| gain(&sketch))
         };
         let start: Vec<f64> =
@@ -251,16 +254,46 @@ impl<'a> Search<'a> {
         let steps: Vec<f64> = form.settings.iter().map(Setting::spacing).collect();
         let found = search::largest(&start, &steps, &at);
         // A sketch is approximate: the found settings are evaluated exactly.
-        let found = Candidate::of(self.evidence(), self.operating_point, spec_at(&found), item.since);
+        let found = Candidate::of(self.evidence(), self.operating_point, spec_at(&found), item.span);
         match found {
             Some(found) if gain(&found) > before => found,
             _ => item,
         }
     }
 
+    /// A candidate that begins where the likelihood is largest, near the begin of a block of a motion that does not repeat.
+    fn begun(&self, state: &State, item: Candidate) -> Candidate {
+        let evidence = self.evidence();
+        let Some(length) = evidence.length_of_block_at(item.span.from) else { return item };
+        let (begin, to, spec) = (item.span.from, item.span.to, item.spec.clone());
+        let at = |offset: f64| {
+            let span = Span { from: begin + offset, to };
+            Candidate::sketch(evidence, self.operating_point, spec.clone(), span)
+        };
+        let gain = |item: &Candidate| {
+            let cross = state.columns.cross(evidence, &item.rows);
+            let gain = self.problem.gain(&state.fit, &cross, &every, None);
+            gain.map_or(f64::NEG_INFINITY, |gain| gain.evidence)
+        };
+        // Blocks are short against the time that an effect lasts: there is one maximum nearby.
+        let (mut best, mut reach) = ((gain(&item), item), length);
+        while reach > BEGIN_RESOLUTION_S {
+            reach *= 0.5;
+            let here = best.1.span.from - begin;
+            for offset in [here - reach, here + reach] {
+                let Some(moved) = at(offset) else { continue };
+                let gain = gain(&moved);
+                if gain > best.0 {
+                    best = (gain, moved);
+                }
+            }
+        }
+        best.1
+    }
+
     /// The same effect with its columns at this operating point.
     fn rebuilt(&self, item: &Candidate) -> Candidate {
-        Candidate::of(self.evidence(), self.operating_point, item.spec.clone(), item.since)
+        Candidate::of(self.evidence(), self.operating_point, item.spec.clone(), item.span)
             .unwrap_or_else(|| item.clone())
     }
 
@@ -290,8 +323,9 @@ impl<'a> Search<'a> {
                 first.clone_from(&proposals);
             }
             let Some(chosen) = self.choose(&state, proposals) else { break };
-            state = self.settle(&state.with(&self.problem, chosen.item.clone()));
-            self.record(&mut path, &state, chosen.item, true, chosen.score, progress);
+            let begun = self.begun(&state, chosen.item);
+            state = self.settle(&state.with(&self.problem, begun.clone()));
+            self.record(&mut path, &state, begun, true, chosen.score, progress);
             while let Some((worst, score)) = self.weakest(&state) {
                 let gone = state.items[worst].clone();
                 state = state.without(&self.problem, worst);
@@ -418,8 +452,9 @@ impl<'a> Search<'a> {
             if let Some(better) = better.filter(|_| swaps > 0) {
                 swaps -= 1;
                 self.record(path, &rest, chosen, false, own.score, progress);
-                state = rest.with(&self.problem, better.item.clone());
-                self.record(path, &state, better.item.clone(), true, better.score, progress);
+                let begun = self.begun(&rest, better.item.clone());
+                state = rest.with(&self.problem, begun.clone());
+                self.record(path, &state, begun, true, better.score, progress);
                 // The replacement is the last effect now and is compared later.
                 continue;
             }

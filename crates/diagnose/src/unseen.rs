@@ -33,7 +33,7 @@ impl<'a> Unseen<'a> {
         let mut columns = columns_of(evidence, structure, trials);
         for item in &state.items {
             if let Ok(term) = item.spec.build(operating_point) {
-                columns.push(&evidence.columns(&*term, item.since));
+                columns.push(&evidence.columns(&*term, item.span));
             }
         }
         Unseen { evidence, columns }

@@ -6,6 +6,7 @@ use plumbline_core::{JointVec, MAX_JOINTS};
 use plumbline_model::term::Entry;
 use plumbline_model::term::effect::{InBodies, family};
 use plumbline_model::term::friction::SHARPNESS;
+use plumbline_model::term::payload;
 use plumbline_model::{Chain, LINK_COLUMNS, LinkParameters, TorqueModel, rnea};
 
 /// Nominal model: rigid body, friction, offsets and rotors of an arm.
@@ -35,8 +36,10 @@ impl Nominal {
         for (term, parameters) in model.terms() {
             if let Some(spec) = term.spec() {
                 if let (true, Some(last)) = (in_last_link(spec.family), nominal.links.last_mut()) {
-                    for (c, parameter) in parameters.iter().enumerate() {
-                        last[term.original(c)] += parameter.value;
+                    for parameter in parameters {
+                        payload::slot(&parameter.column.name)
+                            .into_iter()
+                            .for_each(|slot| last[slot] += parameter.value);
                     }
                 }
                 continue;

@@ -2,6 +2,7 @@
 
 use super::EstimateError;
 use super::differentiate::Differentiator;
+use super::faults::replace_spoiled;
 use super::periods::{NoiseOfMean, Scatter, average, centre, mean, weights};
 use super::run::Run;
 use super::settings::Settings;
@@ -10,6 +11,7 @@ use super::signal::butterworth::Butterworth;
 use super::signal::resample::{Sampling, resample};
 use super::signal::spectral::Spectral;
 use super::signal::{SignalError, decimation};
+use super::timeline::Timeline;
 use nalgebra::DMatrix;
 use plumbline_model::term::Motion;
 use std::f64::consts::PI;
@@ -24,6 +26,8 @@ const COMPARISON_CUTOFF_HZ: f64 = 20.0;
 const APERIODIC_CUTOFF_HZ: f64 = 10.0;
 /// Maximum velocity noise that the position filter may pass \[rad/s\]. Friction reverses within 0.01 rad/s; more noise would blur its sign.
 const MAX_VELOCITY_NOISE: f64 = 1e-3;
+/// Longest stretch of replaced samples of an aperiodic run that enters the regression \[s\].
+const MAX_LINE_S: f64 = 0.02;
 /// Positions that are nearer are the same \[rad\]: no encoder resolves that, and files round.
 const MIN_RESOLUTION: f64 = 1e-9;
 /// Maximum ratio of the position cut-off to half the sampling rate.
@@ -56,6 +60,10 @@ pub struct Experiment {
     pub sampling: Sampling,
     /// Time at the start of the first period that is excluded, because the motion did not repeat yet \[s\].
     pub settling: f64,
+    /// When the samples of the grid were recorded.
+    pub timeline: Timeline,
+    /// Torque samples per joint that were spoiled, by a spike or a drop-out, and replaced.
+    pub replaced: Vec<usize>,
     /// Samples of the grid at which the whole arm is at rest, or that the settings exclude.
     resting: Vec<bool>,
     /// Samples of the grid that enter the regression.
@@ -70,10 +78,6 @@ pub struct Experiment {
     comparison_differentiator: Differentiator,
     /// Samples cut off each end of the grid.
     edge: usize,
-    /// Indices of the periods that are in the mean; none without a period.
-    periods: Vec<usize>,
-    /// Weights of their samples in the mean.
-    weights: Vec<f64>,
 }
 
 /// Every period's deviation from the mean, P N rows, period below period. Excluded samples are zero.
@@ -104,6 +108,10 @@ struct Even {
     deviations: DMatrix<f64>,
     counted: Vec<bool>,
     settling: f64,
+    /// Samples of an aperiodic run that were replaced.
+    spoiled: Vec<bool>,
+    /// Torques that were replaced, per joint.
+    replaced: Vec<usize>,
 }
 
 impl Experiment {
@@ -127,8 +135,18 @@ impl Experiment {
         if let Some(dq) = dq {
             values.columns_mut(2 * n, n).copy_from(dq);
         }
+        let measured = values.clone();
+        let spoiled = replace_spoiled(&mut values, n..2 * n);
         let mut even = resample(&run.t, &values, None).map_err(signal)?;
         let Some(period) = run.period else {
+            let (mut all, mut replaced) = (vec![false; even.values.nrows()], vec![0; n]);
+            for (c, rows) in &spoiled {
+                if let Some(replaced) = c.checked_sub(n).and_then(|joint| replaced.get_mut(joint)) {
+                    *replaced = rows.iter().filter(|row| **row).count();
+                }
+                let own = on_grid(rows, &run.t, all.len(), even.sampling.dt);
+                all.iter_mut().zip(own).for_each(|(all, own)| *all |= own);
+            }
             let even = Even {
                 values: even.values,
                 sampling: even.sampling,
@@ -139,6 +157,8 @@ impl Experiment {
                 deviations: DMatrix::zeros(0, 2 * n),
                 counted: Vec::new(),
                 settling: 0.0,
+                spoiled: all,
+                replaced,
             };
             return Experiment::build(run, settings, even).map_err(signal);
         };
@@ -163,6 +183,18 @@ impl Experiment {
         let mut left_out = vec![false; rest.nrows()];
         settings.left_out(&run.name).for_each(|one| one.mark(&mut left_out, first, dt));
         let mut filled = even.filled[first..found * samples].to_vec();
+        let mut replaced = vec![0; n];
+        if !spoiled.is_empty() {
+            let measured =
+                resample(&run.t, &measured, Some(dt)).map_err(signal)?.values.rows_range(first..).into_owned();
+            for (c, rows) in &spoiled {
+                let rows = on_grid(rows, &run.t, even.values.nrows(), dt);
+                let own = take_from_other_periods(&mut rest, &measured, *c, &rows[first..found * samples], samples);
+                if let Some(replaced) = c.checked_sub(n).and_then(|joint| replaced.get_mut(joint)) {
+                    *replaced = own;
+                }
+            }
+        }
         let settling = settling(&rest.columns(0, n).into_owned(), &left_out, samples, dt);
         left_out[..settling].fill(true);
         let mut periods: Vec<usize> = (skipped..found).collect();
@@ -190,12 +222,26 @@ impl Experiment {
             deviations: averaged.deviations,
             counted: averaged.counted,
             settling: settling as f64 * dt,
+            spoiled: Vec::new(),
+            replaced,
         };
         Experiment::build(run, settings, even).map_err(signal)
     }
 
     fn build(run: &Run, settings: &Settings, even: Even) -> Result<Experiment, SignalError> {
-        let Even { values, sampling, periodic, periods, weights, scatter, deviations, counted, settling } = even;
+        let Even {
+            values,
+            sampling,
+            periodic,
+            periods,
+            weights,
+            scatter,
+            deviations,
+            counted,
+            settling,
+            spoiled,
+            replaced,
+        } = even;
         let (n, samples, dt) = (run.joints(), values.nrows(), sampling.dt);
         let rate = 1.0 / dt;
         let filter = Butterworth::new(settings.order, settings.torque_cutoff, rate)?;
@@ -250,6 +296,8 @@ impl Experiment {
             desired: None,
             sampling,
             settling,
+            replaced,
+            timeline: Timeline { dt, samples: count, edge, periods, weights },
             resting: vec![false; count],
             kept: (0..count).step_by(step).collect(),
             filter,
@@ -258,12 +306,13 @@ impl Experiment {
             differentiator,
             comparison_differentiator,
             edge,
-            periods,
-            weights,
         };
         experiment.exclude_rests(settings.rest);
         if !periodic {
             settings.left_out(&run.name).for_each(|one| one.mark(&mut experiment.resting, edge, dt));
+            for (out, rows) in experiment.resting.iter_mut().zip(&long_stretches(spoiled, dt)[edge..]) {
+                *out |= rows;
+            }
             experiment.kept.retain(|&k| !experiment.resting[k]);
         }
         Ok(experiment)
@@ -290,7 +339,7 @@ impl Experiment {
     pub fn follow_own_motion(&mut self, predict: impl Fn(&Motion) -> DMatrix<f64>) {
         let Some(repeats) = &mut self.repeats else { return };
         let mean = self.comparison_motion.as_ref().unwrap_or(&self.motion);
-        let (samples, dt, periods) = (mean.samples(), mean.dt, repeats.periods.len());
+        let (samples, periods) = (mean.samples(), repeats.periods.len());
         // The periods follow each other, and the last does not adjoin the first.
         let differentiator = self.comparison_differentiator.aperiodic();
         let mut own = differentiator.motion(&repeats.q, 0);
@@ -310,10 +359,7 @@ impl Experiment {
             part -= own.rows(p * samples, samples) - &mean;
         }
         centre(&mut repeats.tau, &repeats.counted, samples);
-        if let Some(scatter) = &mut self.scatter {
-            scatter.power = Scatter::of(&repeats.tau, &repeats.counted, samples, dt).power;
-        }
-        self.noise = Some(NoiseOfMean::of(&repeats.tau, samples, dt, |f| self.filter.zero_phase_gain(f)));
+        self.noise_of_deviations();
     }
 
     /// Adds to [`Scatter::power`] what the resolution of the encoders does to the model's torque. A motion that repeats within one step of an encoder
@@ -355,13 +401,13 @@ impl Experiment {
         let even = resample(t, q_d, Some(self.sampling.dt)).map_err(signal)?;
         let samples = self.q.nrows();
         let short = SignalError::Shape { what: "desired positions", found: even.values.nrows(), expected: samples };
-        let end = self.periods.last().map_or(0, |period| period * samples) + samples;
+        let end = self.timeline.periods.last().map_or(0, |period| period * samples) + samples;
         if even.values.nrows() < end {
             return Err(signal(short));
         }
         let grid = if self.motion.periodic {
-            let rows = self.periods.iter().flat_map(|period| period * samples..(period + 1) * samples);
-            mean(&even.values.select_rows(&rows.collect::<Vec<_>>()), &self.weights, samples)
+            let rows = self.timeline.periods.iter().flat_map(|period| period * samples..(period + 1) * samples);
+            mean(&even.values.select_rows(&rows.collect::<Vec<_>>()), &self.timeline.weights, samples)
         } else {
             even.values.rows(0, samples).into_owned()
         };
@@ -402,6 +448,26 @@ impl Experiment {
         let (count, n) = self.motion.q.shape();
         let rest = self.q.rows(self.edge, count) - &self.motion.q;
         (0..n).map(|j| (rest.column(j).norm_squared() / (count as f64 * share)).sqrt()).collect()
+    }
+
+    /// Subtracts a torque from the periods' deviations, P N x n at the samples of [`Repeats`]: what is known to differ between the periods is no noise.
+    /// The mean is not changed. Nothing where the periods are not kept.
+    pub fn take_off_deviations(&mut self, torque: &DMatrix<f64>) {
+        let Some(repeats) = &mut self.repeats else { return };
+        repeats.tau -= torque;
+        let samples = self.motion.samples();
+        centre(&mut repeats.tau, &repeats.counted, samples);
+        self.noise_of_deviations();
+    }
+
+    /// [`Scatter::power`] and [`Experiment::noise`] of the periods' deviations as they are.
+    fn noise_of_deviations(&mut self) {
+        let Some(repeats) = &self.repeats else { return };
+        let (samples, dt) = (self.motion.samples(), self.motion.dt);
+        if let Some(scatter) = &mut self.scatter {
+            scatter.power = Scatter::of(&repeats.tau, &repeats.counted, samples, dt).power;
+        }
+        self.noise = Some(NoiseOfMean::of(&repeats.tau, samples, dt, |f| self.filter.zero_phase_gain(f)));
     }
 
     /// Number of periods that the mean is of; 1 without repeats.
@@ -462,6 +528,46 @@ impl Experiment {
     pub fn stacked_tau(&self) -> DMatrix<f64> {
         DMatrix::from_column_slice(self.tau.len(), 1, self.tau.as_slice())
     }
+}
+
+/// Samples of an even grid that begins at the first time stamp, from rows at uneven times \[s\].
+fn on_grid(rows: &[bool], t: &[f64], samples: usize, dt: f64) -> Vec<bool> {
+    let mut grid = vec![false; samples];
+    for (_, time) in rows.iter().zip(t).filter(|(row, _)| **row) {
+        // The nearest sample: the others are interpolated from rows that were replaced.
+        let at = ((time - t[0]) / dt).round() as usize;
+        grid[at.min(samples - 1)] = true;
+    }
+    grid
+}
+
+/// Replaces samples of a column by the mean of the other periods at the same place, and returns how many. What every period does is `measured`.
+fn take_from_other_periods(
+    values: &mut DMatrix<f64>,
+    measured: &DMatrix<f64>,
+    column: usize,
+    spoiled: &[bool],
+    samples: usize,
+) -> usize {
+    let mut replaced = 0;
+    for row in (0..spoiled.len()).filter(|&row| spoiled[row]) {
+        let others = (row % samples..spoiled.len()).step_by(samples).filter(|&other| !spoiled[other]);
+        let (sum, count) = others.fold((0.0, 0.0), |(sum, count), other| (sum + values[(other, column)], count + 1.0));
+        replaced += usize::from(count > 0.0);
+        values[(row, column)] = if count > 0.0 { sum / count } else { measured[(row, column)] };
+    }
+    replaced
+}
+
+/// Stretches that are too long for the line across them to be the signal.
+fn long_stretches(mut out: Vec<bool>, dt: f64) -> Vec<bool> {
+    let least = (MAX_LINE_S / dt).ceil() as usize;
+    for stretch in out.chunk_by_mut(|a, b| a == b) {
+        if stretch.len() <= least {
+            stretch.fill(false);
+        }
+    }
+    out
 }
 
 /// Smallest difference between two values that are not equal but for rounding; 0 where all are.

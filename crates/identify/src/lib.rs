@@ -49,6 +49,7 @@ mod differentiate;
 mod direction;
 mod essential;
 mod experiment;
+mod faults;
 mod mounting_check;
 mod periods;
 mod plausibility;
@@ -59,6 +60,7 @@ mod settling;
 pub mod signal;
 pub mod solve;
 pub mod streaming;
+mod timeline;
 mod validate;
 
 pub use covariance::Spread;
@@ -71,6 +73,7 @@ pub use plausibility::{Implausible, plausible};
 pub use prediction::TorqueUncertainty;
 pub use run::Run;
 pub use settings::{Derivative, ExcludedSpan, Method, Settings};
+pub use timeline::Timeline;
 pub use validate::{Modelled, Rms, compare, torques, validate, validate_parameters};
 
 /// Error of preparing runs and identifying parameters.

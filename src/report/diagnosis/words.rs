@@ -44,6 +44,7 @@ fn findings(of: &Diagnosis) -> Vec<String> {
 pub(super) fn left(effect: &Effect) -> Option<&'static str> {
     match (effect.in_model, effect.stratum) {
         (true, _) => None,
+        (false, _) if effect.acts.is_some() => Some("not in the model, which is that of the arm without it"),
         // The model is one of what repeats: nobody has weighed whether to add it.
         (false, Stratum::Changing) => Some("not in the model"),
         (false, _) => Some("not added to the model"),
@@ -131,13 +132,14 @@ pub(super) fn placed(id: &str, joints: &[usize]) -> String {
     if place.is_empty() { plain(id) } else { format!("{} in {place}", plain(id)) }
 }
 
-/// The name of an effect: `presliding in joint 4`, `mounting since session 2`, or its own label.
+/// The name of an effect: `presliding in joint 4`, `mounting since session 2`, `payload since 10.1 s of run_3.csv`, or its own label.
 pub(super) fn name(effect: &Effect) -> String {
     if !effect.label.is_empty() {
         return effect.label.clone();
     }
     let since = effect.since_session.map_or(String::new(), |session| format!(" since session {session}"));
-    placed(&effect.id, &effect.joints) + &since
+    let acts = effect.acts.as_ref().map_or(String::new(), |acts| format!(" {acts}"));
+    placed(&effect.id, &effect.joints) + &since + &acts
 }
 
 fn finding(effect: &Effect, confirmation: Option<Confirmation>) -> String {
@@ -284,9 +286,10 @@ pub(super) fn error(of: &Diagnosis) -> Option<String> {
     Some(format!("{start} ({}): {figure} -> {} Nm{}{next}", worst + 1, fixed(now), with(worst)))
 }
 
-/// Whether the delivered model has effects that the one before had not.
+/// Whether the delivered model has effects that the one before had not, or was identified without what acts in a part of the recording.
 pub(super) fn grown(of: &Diagnosis) -> bool {
-    !of.after.validate_rms.is_empty() && of.effects.iter().any(|effect| effect.in_model)
+    let counts = |effect: &Effect| effect.in_model || effect.acts.is_some();
+    !of.after.validate_rms.is_empty() && of.effects.iter().any(counts)
 }
 
 /// The joint whose error is farthest above its noise.

@@ -2,9 +2,9 @@
 
 use super::emit::{Program, Value, expression};
 use plumbline_identify::consistency::Nearest;
-use plumbline_model::term::Entry;
 use plumbline_model::term::effect::{EffectError, Family, InBodies, InC, Inputs, Site, Spec};
 use plumbline_model::term::friction::SHARPNESS;
+use plumbline_model::term::{Entry, payload};
 use plumbline_model::{LINK_COLUMNS, LinkParameters, TorqueModel, is_consistent};
 
 /// Notes on effects of a model that URDF and MJCF lack, or have a part of.
@@ -65,8 +65,10 @@ pub fn payload_of(model: &TorqueModel) -> LinkParameters {
     let mut sum = [0.0; LINK_COLUMNS];
     for (term, parameters) in model.terms() {
         if term.spec().is_some_and(|spec| in_bodies(&spec) == Ok(InBodies::LastLink)) {
-            for (c, parameter) in parameters.iter().enumerate() {
-                sum[term.original(c)] += parameter.value;
+            for parameter in parameters {
+                if let Some(slot) = payload::slot(&parameter.column.name) {
+                    sum[slot] += parameter.value;
+                }
             }
         }
     }

@@ -1,11 +1,13 @@
 //! What differs from period to period as effects, notes and data quality of a diagnosis.
 
-use super::{BaseMotion, Changing, Contact, Course, Drift, Drifting, Hygiene};
-use crate::outcome::{Diagnosis, Effect, Folds, JointFacts, Parameters, Quantity, Verdict, places};
+use super::{BaseMotion, Changing, Contact, Course, Drift, Drifting, Hygiene, Step};
+use crate::outcome::{Acts, Diagnosis, Effect, Folds, JointFacts, Parameters, Quantity, Verdict, places};
 use plumbline_model::term::{base_motion, contact};
 
 /// Lines of several runs that are nearer than this are one \[Hz\]. A line of a 100 s recording is known to about a hundredth of it.
 const SAME_LINE_HZ: f64 = 0.03;
+/// Times that are nearer than this are one \[s\].
+const SAME_TIME_S: f64 = 0.1;
 
 impl Changing {
     /// Adds the findings to a diagnosis. An effect counts for the verdict from a share `least_floor` of the noise of the mean periods on, or
@@ -22,13 +24,21 @@ impl Changing {
         let lines = lines(&self.base_motions);
         let significant = !self.contacts.is_empty()
             || self.drifts.iter().any(|drift| matters(&drift.rms))
-            || lines.iter().any(|(line, _)| matters(&line.rms));
+            || lines.iter().any(|(line, _)| matters(&line.rms))
+            || self.steps.iter().any(|step| matters(&step.rms));
         diagnosis.verdict = match (diagnosis.verdict, significant) {
             (Verdict::NothingSignificant, true) => Verdict::Diagnosed,
             (Verdict::Unexplained, true) => Verdict::Partly,
             (verdict, _) => verdict,
         };
         diagnosis.effects.extend(self.drifts.iter().map(|drift| self.drift(drift)));
+        // The search of the means has the parameters of those that it found.
+        let known = |step: &Step| {
+            let same = |acts: &Acts| acts.run == step.run && (acts.from - step.time).abs() < SAME_TIME_S;
+            diagnosis.effects.iter().any(|effect| effect.acts.as_ref().is_some_and(same))
+        };
+        let steps = self.steps.iter().filter(|step| matters(&step.rms) && !known(step)).map(came).collect::<Vec<_>>();
+        diagnosis.effects.extend(steps);
         diagnosis.effects.extend(lines.iter().map(|(line, count)| self.base_motion(line, *count)));
         diagnosis.effects.extend(self.contacts.iter().map(touched));
         diagnosis.notes.extend(self.notes());
@@ -116,7 +126,7 @@ impl Changing {
             if !counts.is_empty() {
                 let counts = counts.join(" and ");
                 let left_out = left_out(&one.run);
-                notes.push(format!("run {}: single samples that stand out, {counts}, {left_out}", one.run));
+                notes.push(format!("run {}: spoiled samples, {counts}, {left_out}", one.run));
             }
         }
         notes.extend(self.spared.iter().map(|run| {
@@ -182,5 +192,18 @@ fn touched(one: &Contact) -> Effect {
         parameters: Parameters(parameters),
         explained_share: Some(one.explained),
         ..Effect::of(contact::ID, "")
+    }
+}
+
+/// What came within a run, where the search of the means did not find it.
+fn came(step: &Step) -> Effect {
+    Effect {
+        joints: crate::outcome::joints(step.spec.site),
+        evidence: Some(step.score),
+        delta_log_likelihood: Some(0.5 * step.evidence),
+        penalty: Some(step.evidence - step.score),
+        torque_rms: step.rms.iter().copied().reduce(f64::max),
+        acts: Some(Acts { run: step.run.clone(), from: step.time, to_end_of_recording: false }),
+        ..Effect::of(step.spec.family, step.spec.form)
     }
 }

@@ -1,4 +1,4 @@
-//! What differs from period to period: drifts, a base that moves, contacts, and single samples that are off.
+//! What differs from period to period: drifts, what comes at once, a base that moves, contacts, and single samples that are off.
 //!
 //! The motion repeats, so the parameters of the model have no part in the deviations of the periods from their mean, and what is found
 //! here needs no fit of them. [`changing`] also says which stretches of which runs should be left out of the mean
@@ -10,14 +10,18 @@ mod drift;
 mod effects;
 mod outlier;
 mod record;
+mod step;
 mod transient;
 
 pub use base_motion::BaseMotion;
 pub use contact::Contact;
 pub use drift::{Course, Drift, Drifting};
 pub use outlier::Hygiene;
+pub use step::Step;
 
 use super::evidence::Trial;
+use super::span::Span;
+use drift::{Courses, Deviations};
 use nalgebra::DMatrix;
 use plumbline_core::{parallel, threads};
 use plumbline_identify::signal::spectral::Spectral;
@@ -28,15 +32,15 @@ use record::Record;
 /// Time before and after an event that is left out too \[s\].
 const EVENT_MARGIN_S: f64 = 0.2;
 
-/// Smallest number of periods. Two have no majority, and half of their frequencies are harmonics, where deviations vanish. The median of three is
+/// Smallest number of periods in which events and lines are sought. Two have no majority, and half of their frequencies are harmonics, where deviations vanish. The median of three is
 /// one of them, so that the scale of deviations is too small and noise is flagged as events.
 pub const LEAST_PERIODS: usize = 4;
 
 /// A run keeps everything where more than this share of it would be left out: what fills half of it did not happen once.
 const MAX_LEFT_OUT_RATIO: f64 = 0.5;
 
-/// Most times that drifts are fitted again without what only they had made an event.
-const MAX_DRIFT_ROUNDS: usize = 2;
+/// Most times that courses are fitted again without what is masked beside them.
+const MAX_ROUNDS: usize = 3;
 
 /// Something that happened once and is no contact.
 #[derive(Clone, Debug, PartialEq)]
@@ -60,6 +64,8 @@ pub struct Transient {
 pub struct Changing {
     /// Drifts, in the order in which they were found.
     pub drifts: Vec<Drift>,
+    /// What comes within a run, in the order in which it was found.
+    pub steps: Vec<Step>,
     /// Lines of a base that moves, run by run.
     pub base_motions: Vec<BaseMotion>,
     /// Contacts.
@@ -79,9 +85,23 @@ pub struct Changing {
 }
 
 impl Changing {
+    /// Parts of the recording that begin with something that came within one of these runs: to its end, and to the end of the recording.
+    pub fn spans(&self, trials: &[Trial]) -> Vec<Span> {
+        let last = trials.iter().map(|trial| trial.start).fold(f64::NEG_INFINITY, f64::max);
+        let spans = |step: &Step| {
+            let run = trials.iter().find(|trial| trial.experiment.name == step.run)?;
+            let from = run.start + step.time;
+            let to_its_end = Span { from, to: run.start + run.experiment.timeline.end() };
+            // At the end of the last run both are the same.
+            Some([Some(Span::since(from)), Some(to_its_end).filter(|_| run.start < last)])
+        };
+        self.steps.iter().filter_map(spans).flatten().flatten().collect()
+    }
+
     /// Whether nothing was found.
     pub fn is_empty(&self) -> bool {
         self.drifts.is_empty()
+            && self.steps.is_empty()
             && self.base_motions.is_empty()
             && self.contacts.is_empty()
             && self.transients.is_empty()
@@ -94,35 +114,29 @@ impl Changing {
 /// The operating point's friction has `[fv, fc]` of each joint (\[Nms/rad\], \[Nm\]); without it, friction drifts are sought joint by joint alone. Runs without
 /// repeats have no part in it but for their hygiene.
 pub fn changing(operating_point: &OperatingPoint, trials: &[Trial]) -> Changing {
-    let friction = &operating_point.friction[..];
     let mut found = Changing::default();
-    let records = trials.iter().filter_map(|trial| Record::of(trial.experiment));
-    let mut records: Vec<Record> = records.filter(|record| record.periods() >= LEAST_PERIODS).collect();
-    // Events are excluded from drifts and noise.
-    let masked = parallel(&records, threads(), |record| {
-        let x = transient::robust(record, None, true);
-        transient::mask(record, &transient::events(record, &x), EVENT_MARGIN_S)
-    });
-    for (record, masked) in records.iter_mut().zip(masked) {
-        record.masked = masked;
-    }
-    found.drifts = drift::Deviations::of(&records, friction).drifts();
-    // A large drift is far off itself where it is fastest, and was fitted to the rest alone: without it fewer samples are masked.
-    for _ in 0..MAX_DRIFT_ROUNDS {
-        if found.drifts.is_empty() || !mask_again(&mut records, friction, &found.drifts) {
+    let mut records: Vec<Record> = trials.iter().filter_map(|trial| Record::of(trial.experiment)).collect();
+    let mut courses = Deviations::of(&records, operating_point).courses();
+    // What was fitted to an event goes where the event is masked, and what else an unknown course made an event comes back.
+    for _ in 0..MAX_ROUNDS {
+        if !mask(&mut records, operating_point, &courses) {
             break;
         }
-        found.drifts = drift::Deviations::of(&records, friction).drifts();
+        courses = Deviations::of(&records, operating_point).courses();
     }
-    let deviations = drift::Deviations::of(&records, friction);
+    let deviations = Deviations::of(&records, operating_point);
     let mut masks = Vec::new();
     for (run, record) in records.iter().enumerate() {
-        let drifting = deviations.torque(run, &found.drifts);
-        let mut rest = &record.tau - &drifting;
+        let course = deviations.torque(run, &courses);
+        if record.periods() < LEAST_PERIODS {
+            masks.push(vec![false; record.tau.nrows()]);
+            continue;
+        }
+        let mut rest = &record.tau - &course;
         let rows = rest.nrows();
         rest.as_mut_slice().chunks_mut(rows).for_each(|column| record.centre(column));
         let lines = base_motion::base_motions(record, &operating_point.load, &rest);
-        let known = drifting + base_motion::torques(record, &operating_point.load, &lines);
+        let known = course + base_motion::torques(record, &operating_point.load, &lines);
         found.base_motions.extend(lines);
 
         let x = transient::robust(record, Some(&known), false);
@@ -145,8 +159,8 @@ pub fn changing(operating_point: &OperatingPoint, trials: &[Trial]) -> Changing 
         match record {
             Some(record) => {
                 let full: Vec<bool> = masks[of_run].iter().flat_map(|&masked| vec![masked; record.step]).collect();
-                let known = deviations.torque(of_run, &found.drifts);
-                found.scatter.push(Some(scatter(record, &known, &masks[of_run])));
+                let known = deviations.torque(of_run, &courses);
+                found.scatter.push(Some(scatter(record, &known, &record.without(&masks[of_run]))));
                 of_run += 1;
                 looks.push((trial.experiment, full));
             }
@@ -160,7 +174,11 @@ pub fn changing(operating_point: &OperatingPoint, trials: &[Trial]) -> Changing 
         found.leave_out.extend(spoiled);
         found.hygiene.push(hygiene);
     }
+    for record in &records {
+        found.leave_out.extend(around_steps(record, &courses.steps));
+    }
     found.leave_out = merged(found.leave_out);
+    (found.drifts, found.steps) = (courses.drifts, courses.steps);
     found.runs = records.iter().map(|record| record.experiment.name.clone()).collect();
     let lost =
         |run: &str| -> f64 { found.leave_out.iter().filter(|one| one.run == run).map(|one| one.to - one.from).sum() };
@@ -171,20 +189,33 @@ pub fn changing(operating_point: &OperatingPoint, trials: &[Trial]) -> Changing 
     found
 }
 
-/// Masks the events that are left without the drifts; whether that changed anything.
-fn mask_again(records: &mut [Record], friction: &[[f64; 2]], drifts: &[Drift]) -> bool {
-    let deviations = drift::Deviations::of(records, friction);
-    let mask = |(run, record): (usize, &Record)| {
-        let x = transient::robust(record, Some(&deviations.torque(run, drifts)), true);
-        transient::mask(record, &transient::events(record, &x), EVENT_MARGIN_S)
-    };
-    let masks: Vec<Vec<bool>> = records.iter().enumerate().map(mask).collect();
+/// Masks the events that are left without the courses; whether that changed anything.
+fn mask(records: &mut [Record], operating_point: &OperatingPoint, courses: &Courses) -> bool {
+    let deviations = Deviations::of(records, operating_point);
+    let runs: Vec<usize> = (0..records.len()).collect();
+    let masks = parallel(&runs, threads(), |&run| {
+        let record = &records[run];
+        if record.periods() < LEAST_PERIODS {
+            return record.masked.clone();
+        }
+        let x = transient::robust(record, Some(&deviations.torque(run, courses)), true);
+        record.without(&transient::mask(record, &transient::events(record, &x), EVENT_MARGIN_S))
+    });
     let mut changed = false;
     for (record, masked) in records.iter_mut().zip(masks) {
-        changed |= record.masked != masked;
-        record.masked = masked;
+        changed |= record.mask(masked);
     }
     changed
+}
+
+/// The begins of steps, and both ends of their run. With a step the arm ends the run elsewhere than it begins it, by as much as its controller gives way,
+/// and the mean period must not jump there: it would be a blow in the accelerations.
+fn around_steps(record: &Record, steps: &[Step]) -> Vec<ExcludedSpan> {
+    let run = &record.experiment.name;
+    let own: Vec<f64> = steps.iter().filter(|step| step.run == *run).map(|step| step.time).collect();
+    let ends = [0.0, record.experiment.timeline.end()].into_iter().filter(|_| !own.is_empty());
+    let span = |time: f64| ExcludedSpan { run: run.clone(), from: time - EVENT_MARGIN_S, to: time + EVENT_MARGIN_S };
+    ends.chain(own.iter().copied()).map(span).collect()
 }
 
 /// Stretches that touch or overlap as one, in the order of runs and time.
@@ -207,10 +238,19 @@ pub fn cleaned(experiments: &mut [Experiment], found: &Changing) {
         && found.base_motions.is_empty()
         && found.contacts.is_empty()
         && found.transients.is_empty()
+        && found.steps.is_empty()
     {
         return;
     }
     for (experiment, scatter) in experiments.iter_mut().zip(&found.scatter) {
+        for step in &found.steps {
+            if step.run != experiment.name {
+                continue;
+            }
+            let samples = experiment.motion.samples();
+            let torque = experiment.repeats.as_ref().map(|repeats| step.at_the_samples_of(repeats, samples));
+            torque.inspect(|torque| experiment.take_off_deviations(torque));
+        }
         if let (Some(own), Some(scatter)) = (&mut experiment.scatter, scatter) {
             *own = Scatter { periods: own.periods, ..scatter.clone() };
         }

@@ -40,6 +40,7 @@ pub(super) fn hygiene(experiment: &Experiment, masked: &[bool]) -> (Hygiene, Vec
         repeated_stamps: sampling.repeated_stamps,
         repeated_rows: sampling.repeated_rows,
         missing: sampling.missing,
+        torques: experiment.replaced.clone(),
         ..Hygiene::default()
     };
     let Some(repeats) = experiment.repeats.as_ref().filter(|repeats| repeats.periods.len() >= super::LEAST_PERIODS)
@@ -60,7 +61,9 @@ pub(super) fn hygiene(experiment: &Experiment, masked: &[bool]) -> (Hygiene, Vec
         };
         values.as_slice().chunks(values.nrows()).enumerate().map(of_joint).collect()
     };
-    found.torques = count(&repeats.tau, &[]);
+    for (sum, count) in found.torques.iter_mut().zip(count(&repeats.tau, &[])) {
+        *sum += count;
+    }
     found.positions = count(&repeats.q, &experiment.resolution);
     (found, left_out(experiment, repeats, &spoiled, samples))
 }

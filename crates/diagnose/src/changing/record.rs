@@ -1,11 +1,18 @@
 //! The periods of one run on a grid that is as fine as slow effects need, and what is taken off them.
 
+use crate::fold::Cosines;
 use nalgebra::DMatrix;
 use plumbline_identify::{Experiment, Repeats};
 use plumbline_model::term::Motion;
 
 /// Samples of the grid are means over at most this time \[s\].
 const MAX_BLOCK_S: f64 = 0.01;
+/// A joint that is slower for a while stands \[rad/s\],
+const STANDING_SPEED: f64 = 0.01;
+/// for this long \[s\].
+const STANDING_S: f64 = 0.3;
+/// Time over which a signal fades out before samples that don't count \[s\].
+const FADE_S: f64 = 0.5;
 
 /// One run.
 pub(super) struct Record<'a> {
@@ -23,8 +30,15 @@ pub(super) struct Record<'a> {
     pub motion: Motion,
     /// Deviations of the torques from their mean, P N x n \[Nm\].
     pub tau: DMatrix<f64>,
-    /// Samples that don't count, P N.
+    /// Samples that are not in the mean, P N.
+    pub uncounted: Vec<bool>,
+    /// Samples that don't count, those and events, P N.
     pub masked: Vec<bool>,
+    /// Samples of the period at which a joint stands, N for each joint: friction holds any torque there, another one in every period.
+    pub standing: Vec<Vec<bool>>,
+    /// Weights with which each joint fades out before samples that don't count and in after them, P N.
+    fades: Vec<Vec<f64>>,
+    cosines: Cosines,
 }
 
 impl Record<'_> {
@@ -43,8 +57,24 @@ impl Record<'_> {
             ..of.clone()
         };
         let tau = blocks(&repeats.tau, step);
-        let masked = vec![false; tau.nrows()];
-        Some(Record { experiment, repeats, step, dt: motion.dt, samples: all / step, motion, tau, masked })
+        let uncounted: Vec<bool> = repeats.counted.chunks_exact(step).map(|rows| rows.contains(&false)).collect();
+        let masked = uncounted.clone();
+        let mut record = Record {
+            experiment,
+            repeats,
+            step,
+            dt: motion.dt,
+            samples: all / step,
+            standing: standing(&motion),
+            cosines: Cosines::new(tau.nrows()),
+            motion,
+            tau,
+            uncounted,
+            masked: Vec::new(),
+            fades: Vec::new(),
+        };
+        record.mask(masked);
+        Some(record)
     }
 
     /// Number of joints, n.
@@ -64,6 +94,46 @@ impl Record<'_> {
         ((period * self.samples + row % self.samples) as f64 + middle) * self.dt
     }
 
+    /// Lets these samples not count; whether that changes anything.
+    pub fn mask(&mut self, masked: Vec<bool>) -> bool {
+        if self.masked == masked {
+            return false;
+        }
+        let fade = |standing: &Vec<bool>| {
+            let out = |row: usize| masked[row] || standing[row % self.samples];
+            fade(masked.len(), self.dt, out)
+        };
+        self.fades = self.standing.iter().map(fade).collect();
+        self.masked = masked;
+        true
+    }
+
+    /// Coefficients of a joint's signal up to a frequency, of the cosines over the whole run, which has no step where a period ends. The signal fades out
+    /// before samples that don't count: slow noise that is cut off has all frequencies.
+    pub fn coefficients(&self, joint: usize, x: &[f64], highest: f64) -> Vec<f64> {
+        let faded: Vec<f64> = x.iter().zip(&self.fades[joint]).map(|(x, weight)| x * weight).collect();
+        let mut rows = vec![0.0; ((2.0 * highest * x.len() as f64 * self.dt) as usize + 1).min(x.len())];
+        self.cosines.transform(&faded, &mut rows);
+        rows
+    }
+
+    /// Independent numbers in one coefficient of the deviations: less than one by what the mean over the periods and the fades take.
+    pub fn freedom(&self, joint: usize) -> f64 {
+        let fades = &self.fades[joint];
+        let free = |k: usize| {
+            let rows = (k..fades.len()).step_by(self.samples);
+            let count = rows.clone().filter(|&row| !self.masked[row]).count();
+            let squares: f64 = rows.map(|row| fades[row] * fades[row]).sum();
+            squares * (1.0 - 1.0 / count.max(1) as f64)
+        };
+        (0..self.samples).map(free).sum::<f64>() / fades.len() as f64
+    }
+
+    /// Samples that are not in the mean or in one of these events.
+    pub fn without(&self, events: &[bool]) -> Vec<bool> {
+        self.uncounted.iter().zip(events).map(|(uncounted, event)| *uncounted || *event).collect()
+    }
+
     /// Takes the mean over the periods off a signal, P N, without what is masked; that becomes zero.
     pub fn centre(&self, x: &mut [f64]) {
         for k in 0..self.samples {
@@ -81,6 +151,37 @@ impl Record<'_> {
         self.centre(&mut x);
         x
     }
+}
+
+/// Samples at which each joint stands, N for each joint; turning points are shorter.
+fn standing(motion: &Motion) -> Vec<Vec<bool>> {
+    let least = (STANDING_S / motion.dt).ceil() as usize;
+    let of_joint = |speeds: &[f64]| {
+        let slow: Vec<bool> = speeds.iter().map(|speed| speed.abs() < STANDING_SPEED).collect();
+        let mut stands = vec![false; slow.len()];
+        for (first, last) in super::transient::stretches(&slow) {
+            if last - first >= least {
+                stands[first..last].fill(true);
+            }
+        }
+        stands
+    };
+    motion.dq.as_slice().chunks(motion.samples()).map(of_joint).collect()
+}
+
+/// Weights of samples, 0 where they are out, 1 far from there, with a smooth rise between.
+fn fade(rows: usize, dt: f64, out: impl Fn(usize) -> bool) -> Vec<f64> {
+    let mut distance = vec![f64::INFINITY; rows];
+    let mut near = |row: usize, since: &mut f64| {
+        *since = if out(row) { 0.0 } else { *since + dt };
+        distance[row] = distance[row].min(*since);
+    };
+    let mut since = f64::INFINITY;
+    (0..rows).for_each(|row| near(row, &mut since));
+    since = f64::INFINITY;
+    (0..rows).rev().for_each(|row| near(row, &mut since));
+    let smooth = |x: f64| x * x * (3.0 - 2.0 * x);
+    distance.into_iter().map(|time| smooth((time / FADE_S).min(1.0))).collect()
 }
 
 /// Every period minus the median of all, P N.

@@ -3,6 +3,7 @@
 use plumbline_model::term::effect::{Quantity, Stratum, family};
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
+use std::fmt;
 
 /// An effect that was found, with its evidence.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -55,6 +56,9 @@ pub struct Effect {
     /// First session that has it; absent where all have.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub since_session: Option<u32>,
+    /// Where in the recording it acts; absent where it acts in all of it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub acts: Option<Acts>,
     /// Whether the delivered model has it; otherwise it is reported alone.
     #[serde(default)]
     pub in_model: bool,
@@ -70,6 +74,29 @@ pub struct Effect {
     /// What happens, in one sentence.
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub physics: String,
+}
+
+/// A part of the recording in which an effect acts.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Acts {
+    /// Name of the run in which it begins.
+    pub run: String,
+    /// Its begin, since the first sample of that run \[s\].
+    pub from: f64,
+    /// Whether it stays for all runs after; otherwise it ends with the run.
+    pub to_end_of_recording: bool,
+}
+
+impl fmt::Display for Acts {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Acts { run, from, to_end_of_recording } = self;
+        match (*from > 0.0, to_end_of_recording) {
+            (true, true) => write!(f, "since {from:.1} s of {run}"),
+            (true, false) => write!(f, "from {from:.1} s of {run} to its end"),
+            (false, true) => write!(f, "since {run}"),
+            (false, false) => write!(f, "in {run}"),
+        }
+    }
 }
 
 /// Trajectories that were left out in turn.
@@ -148,10 +175,14 @@ impl Effect {
 
     /// Identity and joints: `presliding in joint 4`.
     pub fn place(&self) -> String {
-        match self.joints[..] {
+        let place = match self.joints[..] {
             [] => self.id.clone(),
             [joint] => format!("{} in joint {joint}", self.id),
             [row, cause, ..] => format!("{} in joint {row} from joint {cause}", self.id),
+        };
+        match &self.acts {
+            Some(acts) => format!("{place} {acts}"),
+            None => place,
         }
     }
 }

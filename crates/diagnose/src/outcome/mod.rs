@@ -6,7 +6,7 @@
 mod effect;
 pub(super) mod lenient;
 
-pub use effect::{Alternative, Effect, Folds, Parameters};
+pub use effect::{Acts, Alternative, Effect, Folds, Parameters};
 pub use plumbline_model::term::effect::{Quantity, Stratum};
 
 use super::errors::{Band, Compared, Errors};

@@ -1,8 +1,9 @@
 //! The stored model with what was found to have changed.
 
 use super::Change;
-use nalgebra::DMatrix;
+use nalgebra::{DMatrix, DVector};
 use plumbline_model::term::effect::{Family, InBodies, assemble};
+use plumbline_model::term::payload;
 use plumbline_model::{LINK_COLUMNS, ModelError, Parameter, TorqueModel};
 
 /// The model with the changes: a payload becomes part of the rigid bodies (`beta + regroup delta`), a change of friction or of an offset
@@ -41,10 +42,11 @@ pub fn extended(reference: &TorqueModel, changes: &[Change]) -> Result<TorqueMod
 fn carry(reference: &TorqueModel, change: &Change, parameters: &mut [Parameter]) {
     let regroup = reference.structure().reduction().regroup();
     let first = regroup.ncols() - LINK_COLUMNS;
-    let own = regroup.columns(first, LINK_COLUMNS);
-    let delta = nalgebra::DVector::from_iterator(LINK_COLUMNS, change.parameters.iter().map(|own| own.value));
-    let moved = own * delta;
-    let spread: DMatrix<f64> = own * &change.covariance * own.transpose();
+    let slots = change.parameters.iter().filter_map(|own| payload::slot(&own.column.name)).map(|slot| first + slot);
+    let own = regroup.select_columns(&slots.collect::<Vec<_>>());
+    let delta = DVector::from_iterator(own.ncols(), change.parameters.iter().map(|own| own.value));
+    let moved = &own * delta;
+    let spread: DMatrix<f64> = &own * &change.covariance * own.transpose();
     for (k, parameter) in parameters.iter_mut().take(regroup.nrows()).enumerate() {
         parameter.value += moved[k];
         parameter.std = parameter.std.map(|std| std.hypot(spread[(k, k)].max(0.0).sqrt()));

@@ -21,6 +21,7 @@ use super::fit::{Prior, Problem, inverse};
 use super::library::{self, Candidate};
 use super::moments::Columns;
 use super::select::{Found, Scored, Search, Selected, Step};
+use super::span::Span;
 use super::state::{State, every, mean_square};
 use nalgebra::{DMatrix, DVector};
 use plumbline_core::symmetric_eigen;
@@ -141,7 +142,7 @@ pub fn among(
     let base = State::base(&problem, Columns { m, r });
     let before = left_over(&evidence, &base, &DVector::zeros(beta.len()));
     let operating_point = evidence.operating_point(structure, &beta);
-    let mut library = library::library(&evidence, &operating_point, families, None, settings.threads);
+    let mut library = library::library(&evidence, &operating_point, families, Span::ALL, settings.threads);
     library.extend(since_sessions(&evidence, &operating_point, families, settings.threads));
     let search = Search { problem, operating_point: &operating_point, library: &library, settings };
     let (least, lacking) = (least(&search, &base), lack(&evidence, &base));
@@ -186,11 +187,8 @@ pub fn since_sessions(
     families: &[&'static Family],
     threads: usize,
 ) -> Vec<Candidate> {
-    let mut sessions: Vec<u32> = evidence.folds().iter().map(|fold| fold.session).collect();
-    sessions.sort_unstable();
-    sessions.dedup();
-    let later = sessions.into_iter().skip(1);
-    later.flat_map(|session| library::library(evidence, operating_point, families, Some(session), threads)).collect()
+    let later = evidence.sessions().into_values().skip(1);
+    later.flat_map(|start| library::library(evidence, operating_point, families, Span::since(start), threads)).collect()
 }
 
 /// Precision of the stored parameters; none for those that were not identifiable. The parameters of a file without any
@@ -268,7 +266,7 @@ fn least(search: &Search, state: &State) -> Vec<(&'static str, Vec<f64>)> {
 }
 
 /// An effect of the final state with its parameters.
-fn change(search: &Search, state: &State, item: usize, found: Found) -> Change {
+pub(super) fn change(search: &Search, state: &State, item: usize, found: Found) -> Change {
     let range = state.range(item);
     let candidate = &state.items[item];
     let columns = candidate.spec.build(search.operating_point).map(|term| term.columns()).unwrap_or_default();
@@ -281,7 +279,9 @@ fn change(search: &Search, state: &State, item: usize, found: Found) -> Change {
     };
     let parameters: Vec<Parameter> = columns.into_iter().enumerate().map(parameter).collect();
     let undetermined = unknown;
-    Change { spec: candidate.spec.clone(), since: candidate.since, parameters, covariance, undetermined, found }
+    let sessions = search.problem.evidence.sessions();
+    let since = sessions.into_iter().find(|(_, start)| *start == candidate.span.from).map(|(session, _)| session);
+    Change { spec: candidate.spec.clone(), since, parameters, covariance, undetermined, found }
 }
 
 /// Directions of some of the parameters that nothing determines, orthonormal when every parameter is scaled to its own square; one

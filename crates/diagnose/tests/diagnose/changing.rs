@@ -6,7 +6,7 @@ use plumbline_diagnose::changing::{Changing, Course, Drifting, changing};
 use plumbline_excite::PeriodicMotion;
 use plumbline_identify::signal::spectral::Spectral;
 use plumbline_identify::{ExcludedSpan, Experiment, Run, Settings};
-use plumbline_model::term::effect::OperatingPoint;
+use plumbline_model::term::effect::{OperatingPoint, Site};
 use plumbline_model::{Chain, Placement, Reduction, Robot, Structure, rnea};
 use plumbline_sim::Truth;
 use plumbline_testkit::scene;
@@ -15,6 +15,7 @@ use plumbline_testkit::scene::lab::{Noise, Period, of_force, window};
 use plumbline_testkit::sim::{arm, arm_with};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
+use rand_distr::StandardNormal;
 use std::f64::consts::TAU;
 use std::sync::OnceLock;
 
@@ -105,7 +106,7 @@ fn kept() -> Settings {
 fn found(runs: &[Run]) -> Changing {
     let stage = stage();
     let experiments = prepared(runs, &kept());
-    let trials: Vec<Trial> = experiments.iter().map(|experiment| Trial { experiment, session: 1 }).collect();
+    let trials = Trial::in_turn(&experiments);
     changing(&stage.operating_point, &trials)
 }
 
@@ -307,7 +308,7 @@ fn a_stretch_of_a_free_run_that_is_left_out_does_not_count() {
 }
 
 #[test]
-fn single_samples_that_are_off_are_counted_and_left_out() {
+fn single_samples_that_are_off_are_counted_and_not_used() {
     let mut runs = recorded(1, 11, |_, _| {});
     for (row, joint) in [(12_345, 0), (40_000, 2), (77_001, 2)] {
         runs[0].tau[(row, joint)] += 4.0;
@@ -321,8 +322,9 @@ fn single_samples_that_are_off_are_counted_and_left_out() {
     let hygiene = &found.hygiene[0];
     assert_eq!(hygiene.torques, [1, 0, 2, 0, 0, 0, 0], "{hygiene:?}");
     assert_eq!(hygiene.positions, [0, 1, 0, 0, 0, 0, 0], "{hygiene:?}");
-    assert_eq!(found.leave_out.len(), 4, "{:?}", found.leave_out);
-    assert!(found.leave_out.iter().any(|one| one.from < 12.345 && one.to > 12.345 && one.to - one.from < 0.02));
+    // Torques are replaced; around a position nothing is used.
+    assert_eq!(found.leave_out.len(), 1, "{:?}", found.leave_out);
+    assert!(found.leave_out.iter().any(|one| one.from < 23.456 && one.to > 23.456 && one.to - one.from < 0.02));
     assert!(found.drifts.is_empty() && found.contacts.is_empty() && found.transients.is_empty());
 }
 
@@ -397,4 +399,49 @@ to = 63.3
     assert!(found.contacts.len() == 1 && found.transients.is_empty(), "{:?} {:?}", found.contacts, found.transients);
     assert!((contact.from - 52.3).abs() < 0.2 && (contact.to - 53.3).abs() < 0.2, "{contact:?}");
     assert!((contact.force - Vector3::new(6.0, -3.0, 8.0)).norm() < 2.0 && contact.link == 6, "{contact:?}");
+}
+
+#[test]
+fn what_comes_at_once_is_found_with_its_time_in_two_periods() {
+    // An offset in the first run; more friction in the second, to its end.
+    let friction = |dq: f64| 0.2 * (100.0 * dq).tanh() + 0.3 * dq;
+    let mut run = 0;
+    let mut before = 0.0;
+    let runs = recorded_periods(2, 2, 31, |at, tau| {
+        run += usize::from(at.t < before);
+        before = at.t;
+        match run {
+            0 if at.t >= 13.27 => tau[3] += 0.4,
+            1 if at.t >= 6.41 => tau[1] += friction(at.dq[1]),
+            _ => {}
+        }
+    });
+    let found = found(&runs);
+    let mut steps: Vec<_> =
+        found.steps.iter().map(|step| (step.run.as_str(), step.spec.family, step.spec.site, step.time)).collect();
+    steps.sort_by(|a, b| a.0.cmp(b.0));
+    let [offset, change] = steps[..] else { panic!("{steps:?}") };
+    assert_eq!((offset.0, offset.1, offset.2), ("run0", "torque-offset", Site::Joint(3)));
+    assert_eq!((change.0, change.1, change.2), ("run1", "friction-change", Site::Joint(1)));
+    assert!((offset.3 - 13.27).abs() < 0.1 && (change.3 - 6.41).abs() < 0.3, "{steps:?}");
+    assert!(found.drifts.is_empty() && found.contacts.is_empty() && found.transients.is_empty(), "{found:?}");
+}
+
+#[test]
+fn slow_noise_is_no_step_and_no_drift() {
+    // Six times the usual: of 0.2 Nm with a time constant of half a second.
+    for (seed, periods) in [(1, 2), (2, 2), (3, 3), (4, 5)] {
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        let mut slow = [0.0; 7];
+        let decay = (-DT / 0.53_f64).exp();
+        let runs = recorded_periods(2, periods, 40 + seed, |_, tau| {
+            for (tau, slow) in tau.iter_mut().zip(&mut slow) {
+                let white: f64 = rng.sample(StandardNormal);
+                *slow = decay * *slow + (1.0 - decay * decay).sqrt() * 0.2 * white;
+                *tau += *slow;
+            }
+        });
+        let found = found(&runs);
+        assert!(found.steps.is_empty() && found.drifts.is_empty(), "{seed}: {:?} {:?}", found.steps, found.drifts);
+    }
 }

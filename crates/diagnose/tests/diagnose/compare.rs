@@ -56,7 +56,7 @@ fn stored() -> &'static TorqueModel {
 }
 
 fn trials(experiments: &[Experiment], session: u32) -> Vec<Trial<'_>> {
-    experiments.iter().map(|experiment| Trial { experiment, session }).collect()
+    experiments.iter().map(|experiment| Trial { experiment, session, start: 100.0 * session as f64 }).collect()
 }
 
 fn settings() -> Settings {

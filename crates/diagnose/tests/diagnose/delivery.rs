@@ -19,9 +19,16 @@ fn diagnosed(scene: &Scene, identify: usize, extra: impl Fn(usize, &mut Run)) ->
         Experiment::prepare(&run, &settings).unwrap()
     };
     let experiments: Vec<Experiment> = (0..=identify).map(prepare).collect();
-    let trials: Vec<Trial> = experiments.iter().map(|experiment| Trial { experiment, session: 1 }).collect();
+    let trials = Trial::in_turn(&experiments);
     let (find, judge) = trials.split_at(identify);
-    let input = Input { structure: &scene.structure, identify: find, veto: &[], judge, options: &Options::default() };
+    let input = Input {
+        structure: &scene.structure,
+        identify: find,
+        veto: &[],
+        judge,
+        options: &Options::default(),
+        parts: &[],
+    };
     let settings = Settings { judged_by: Of::Raw, threads: 2, ..Settings::default() };
     diagnose(&input, &settings, &|_| {}).unwrap()
 }
@@ -90,6 +97,35 @@ fn a_run_that_differs_from_the_identified_ones_is_never_nothing_significant() {
     assert!(diagnosis.notes.iter().any(|note| note.contains("run 2 differs")), "{:?}", diagnosis.notes);
 }
 
+#[test]
+fn what_came_between_two_runs_is_named_and_the_model_is_of_the_arm_without_it() {
+    let scene = Scene::panda_on_the_wall();
+    let plain = diagnosed(&scene, 2, |_, _| {});
+    let came = diagnosed(&scene, 2, |index, run| {
+        if index > 0 {
+            run.tau.column_mut(4).add_scalar_mut(0.3);
+        }
+    });
+    let diagnosis = &came.diagnosis;
+    assert_eq!(diagnosis.verdict, Verdict::Diagnosed, "{diagnosis:?}");
+    let [offset] = &diagnosis.effects[..] else { panic!("{:?}", diagnosis.effects) };
+    let acts = offset.acts.as_ref().unwrap_or_else(|| panic!("{offset:?}"));
+    assert_eq!((offset.id.as_str(), &offset.joints[..], offset.in_model), ("torque-offset", &[5][..], false));
+    assert_eq!((acts.run.as_str(), acts.from, acts.to_end_of_recording), ("run 1", 0.0, true));
+    let size = &offset.parameters.0[0];
+    assert!((size.value - 0.3).abs() < 3.0 * size.std.unwrap() && size.std.unwrap() < 0.02, "{size:?}");
+    // The unseen run has it, and is predicted with it.
+    let [before, after] = [&diagnosis.before, &diagnosis.after].map(|errors| errors.validate_rms[4]);
+    let quiet = plain.diagnosis.before.validate_rms[4];
+    assert!(before > quiet + 0.03 && after < 1.05 * quiet, "{before} {after} {quiet}");
+    assert!(diagnosis.disagreements.is_empty(), "{:?}", diagnosis.disagreements);
+    // The parameters are those of the recording without it.
+    let [with, without] = [&came.after.identification, &plain.after.identification];
+    for (k, std) in without.std.iter().enumerate() {
+        assert!((with.beta[k] - without.beta[k]).abs() < std.unwrap(), "parameter {k}");
+    }
+}
+
 /// Torque of an effect along the arm's true motion, one column per joint.
 fn torque(scene: &Scene, spec: &Spec, parameter: f64) -> DMatrix<f64> {
     let operating_point = OperatingPoint { friction: Vec::new(), ..scene.structure.operating_point(&scene.beta) };
@@ -137,4 +173,16 @@ fn deviations_are_those_of_repeated_recordings() {
         let std = one.std.unwrap();
         assert!((0.75..1.35).contains(&(std / scatter)) && (one.value - truth).abs() < 3.0 * std, "{one:?}");
     }
+}
+
+#[test]
+fn what_is_unconfirmed_and_predicts_no_better_is_not_delivered() {
+    let scene = Scene::panda_on_the_wall();
+    // One trajectory confirms nothing, and nobody knows the noise of an unseen run without repeats.
+    let outcome = diagnosed(&scene, 1, |index, run| match index {
+        0 => run.tau.column_mut(4).add_scalar_mut(0.02),
+        _ => run.period = None,
+    });
+    let why = withheld(&outcome, "torque-offset");
+    assert!(why.starts_with("it is unconfirmed, and unseen runs are predicted no better: +"), "{why}");
 }

@@ -73,7 +73,7 @@ fn found(
     let [plans, _] = scene::lab::plans();
     let reduction = Reduction::in_mounting(&stage.chain, &plans[0].mounting());
     let structure = Structure::of(stage.chain.clone(), reduction, &["friction", "torque-offset"]).unwrap();
-    let trials: Vec<Trial> = experiments.iter().map(|experiment| Trial { experiment, session: 1 }).collect();
+    let trials = Trial::in_turn(&experiments);
     let settings = Settings { threads: 2, ..Settings::default() };
     let evidence = Evidence::of(&stage.chain, &trials, settings.band);
     let columns = Columns { m: evidence.regressor(&structure, &trials), r: evidence.torques(&trials) };
@@ -93,7 +93,7 @@ fn the_inverse_of_the_projection_gives_a_signal_in_the_band_back() {
     let free = Run { period: None, ..run.clone() };
     for run in [run, free] {
         let experiment = Experiment::prepare(&run, &plumbline_identify::Settings::default()).unwrap();
-        let trials = [Trial { experiment: &experiment, session: 1 }];
+        let trials = [Trial::alone(&experiment)];
         let evidence = Evidence::of(&stage.chain, &trials, 16.0);
         for fold in 0..evidence.folds().len() {
             // A signal made of some of the fold's own waves.

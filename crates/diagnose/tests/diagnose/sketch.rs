@@ -1,6 +1,6 @@
 //! A rough look at an effect that is integrated in time is nearly the careful one.
 
-use plumbline_diagnose::{Candidate, Evidence, Trial};
+use plumbline_diagnose::{Candidate, Evidence, Span, Trial};
 use plumbline_identify::Experiment;
 use plumbline_model::term::effect::{Site, Spec};
 use plumbline_model::{Mounting, Reduction, Structure};
@@ -13,7 +13,7 @@ fn a_sketch_of_a_swinging_link_is_nearly_its_columns() {
     let run =
         lab::period(&chain, &base, &identify[0], Mounting::WALL, "one").record(&base, 4, Noise { coloured: 0.05 }, 1);
     let experiment = Experiment::prepare(&run, &plumbline_identify::Settings::default()).unwrap();
-    let trials = [Trial { experiment: &experiment, session: 1 }];
+    let trials = [Trial::alone(&experiment)];
     let evidence = Evidence::of(&chain, &trials, 10.0);
     let structure =
         Structure::of(chain.clone(), Reduction::in_mounting(&chain, &Mounting::WALL), &["friction"]).unwrap();
@@ -22,8 +22,8 @@ fn a_sketch_of_a_swinging_link_is_nearly_its_columns() {
     // Joint 7 flutters in its gap, joint 2 swings slowly.
     for (joint, settings) in [(6, vec![7.5e-4, 0.5, 5.0]), (1, vec![7.5e-4, 0.5, 2.5])] {
         let spec = Spec { family: "backlash", form: "swinging", site: Site::Joint(joint), settings };
-        let careful = Candidate::of(&evidence, &operating_point, spec.clone(), None).unwrap();
-        let rough = Candidate::sketch(&evidence, &operating_point, spec, None).unwrap();
+        let careful = Candidate::of(&evidence, &operating_point, spec.clone(), Span::ALL).unwrap();
+        let rough = Candidate::sketch(&evidence, &operating_point, spec, Span::ALL).unwrap();
         assert_ne!(careful.rows, rough.rows, "there is nothing rough about it");
         let pairs = careful.rows.parts.iter().zip(&rough.rows.parts);
         let apart: f64 = pairs.map(|((_, careful), (_, rough))| (careful - rough).norm_squared()).sum();

@@ -30,7 +30,7 @@ pub static FAMILY: Family = Family {
         confounded("joint-elasticity", SECOND_MOUNTING),
     ],
     reference: "Khalil, Dombre, Modeling, Identification and Control of Robots (2002), chapter 11",
-    rare: Rare { may_change: true, ..Rare::NONE },
+    rare: Rare { may_change: true, comes_at_once: true, ..Rare::NONE },
 };
 
 fn build(operating_point: &OperatingPoint, site: Site, settings: &[f64]) -> Arc<dyn Term> {

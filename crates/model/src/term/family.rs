@@ -60,6 +60,8 @@ pub struct Rare {
     pub between_coupled: bool,
     /// Whether it may change after an identification; a comparison with a stored model then searches for it.
     pub may_change: bool,
+    /// Whether it may come at once within a recording: a tool that is picked up, a base that is pushed. Its forms have no settings.
+    pub comes_at_once: bool,
     /// Its part in a description of rigid bodies (URDF, MJCF).
     pub in_bodies: InBodies,
     /// The effect that one of its forms can be a part of.
@@ -77,6 +79,7 @@ impl Rare {
         in_every_arm: false,
         between_coupled: false,
         may_change: false,
+        comes_at_once: false,
         in_bodies: InBodies::Nothing,
         part_of: None,
         changed_parameter: |name| name,

@@ -25,7 +25,13 @@ pub static FAMILY: Family = Family {
         confounded("load-dependent-friction", "pass the same poses with and without a load"),
     ],
     reference: "Bittencourt, Gunnarsson, ASME J. Dynamic Systems, Measurement and Control 134 (2012)",
-    rare: Rare { may_change: true, changed_parameter, quantities: parameters_and_factors, ..Rare::NONE },
+    rare: Rare {
+        may_change: true,
+        comes_at_once: true,
+        changed_parameter,
+        quantities: parameters_and_factors,
+        ..Rare::NONE
+    },
 };
 
 fn build(operating_point: &OperatingPoint, site: Site, settings: &[f64]) -> Arc<dyn Term> {

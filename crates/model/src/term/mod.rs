@@ -29,7 +29,7 @@ pub mod mounting;
 mod nonlinear_viscous;
 pub mod offset_drift;
 mod one_row;
-mod payload;
+pub mod payload;
 mod per_joint;
 mod position_dependent_friction;
 mod position_error;

@@ -31,7 +31,7 @@ pub static FAMILY: Family = Family {
         confounded("torque-offset", "turn joint 1 by more than 90 degrees"),
     ],
     reference: "the paper's equation 3, whose direction of gravity it turns",
-    rare: Rare { may_change: true, quantities: angles, ..Rare::NONE },
+    rare: Rare { may_change: true, comes_at_once: true, quantities: angles, ..Rare::NONE },
 };
 
 /// The axes of the two tilts in the base frame: across gravity, and `a`, `b`, up a right-handed frame. `a` is the base's x axis

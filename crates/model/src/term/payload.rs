@@ -15,14 +15,24 @@ pub static FAMILY: Family = Family {
     id: "payload",
     physics: "A rigid body is fixed to the last link that was not there at the identification.",
     place: Place::Arm,
-    forms: &[Form {
-        name: "",
-        equation: "tau = Y_n [Lxx Lxy Lxz Lyy Lyz Lzz lx ly lz m], the body's in the last link's frame, in all rows",
-        settings: &[],
-        build,
-        in_c: InC::LastLink,
-        plot_over: PlotOver::Nothing,
-    }],
+    forms: &[
+        Form {
+            name: "",
+            equation: "tau = Y_n [Lxx Lxy Lxz Lyy Lyz Lzz lx ly lz m], the body's in the last link's frame, in all rows",
+            settings: &[],
+            build: |operating_point, site, settings| build(operating_point, site, settings, "", 0),
+            in_c: InC::LastLink,
+            plot_over: PlotOver::Nothing,
+        },
+        Form {
+            name: "light",
+            equation: "tau = Y_n [lx ly lz m], alike, of a body whose inertia is too small to show",
+            settings: &[],
+            build: |operating_point, site, settings| build(operating_point, site, settings, "light", LIGHT),
+            in_c: InC::LastLink,
+            plot_over: PlotOver::Nothing,
+        },
+    ],
     stratum: Stratum::Reference,
     typical: "0.1 to 3 kg",
     confounded: &[
@@ -31,7 +41,13 @@ pub static FAMILY: Family = Family {
         confounded("the link before the last", "turn the wrist: a centre of mass on the last axis looks like theirs"),
     ],
     reference: "Khalil, Gautier, Lemoine, ICRA 2007; Swevers et al., IEEE Control Systems Magazine 27 (2007)",
-    rare: Rare { may_change: true, in_bodies: InBodies::LastLink, quantities: body_or_parameters, ..Rare::NONE },
+    rare: Rare {
+        may_change: true,
+        comes_at_once: true,
+        in_bodies: InBodies::LastLink,
+        quantities: body_or_parameters,
+        ..Rare::NONE
+    },
 };
 
 const PARAMETERS: [(&str, &str); LINK_COLUMNS] = [
@@ -47,16 +63,33 @@ const PARAMETERS: [(&str, &str); LINK_COLUMNS] = [
     ("m", "kg"),
 ];
 
-fn build(operating_point: &OperatingPoint, site: Site, settings: &[f64]) -> Arc<dyn Term> {
+/// Parameters that a light body lacks: the first ones.
+const LIGHT: usize = 6;
+
+/// Position of a column's parameter among those of a link, by the column's name.
+pub fn slot(column: &str) -> Option<usize> {
+    let own = column.strip_prefix("payload_")?.trim_end_matches("_light");
+    PARAMETERS.iter().position(|(name, _)| *name == own)
+}
+
+/// With the parameters from `least` on.
+fn build(
+    operating_point: &OperatingPoint,
+    site: Site,
+    settings: &[f64],
+    form: &'static str,
+    least: usize,
+) -> Arc<dyn Term> {
     let chain = operating_point.chain.clone();
     let named = |(what, unit): (&str, &'static str)| {
-        let name = format!("payload_{what}");
+        let suffix = if form.is_empty() { String::new() } else { format!("_{form}") };
+        let name = format!("payload_{what}{suffix}");
         Column { symbol: name.clone(), expression: name.clone(), name, joint: chain.len(), unit }
     };
-    let columns = PARAMETERS.map(named).to_vec();
-    AllRows::term(&FAMILY, "", site, settings, columns, move |gravity| {
+    let columns = PARAMETERS[least..].iter().copied().map(named).collect();
+    AllRows::term(&FAMILY, form, site, settings, columns, move |gravity| {
         let first = LINK_COLUMNS * (chain.len() - 1);
-        let slots: Vec<usize> = (first..first + LINK_COLUMNS).collect();
+        let slots: Vec<usize> = (first + least..first + LINK_COLUMNS).collect();
         BodyColumns(LinkColumns::new(&chain, &slots, gravity))
     })
 }
@@ -98,9 +131,11 @@ fn body_or_parameters(results: &Results) -> Vec<Quantity> {
 /// Mass, centre of mass and inertia with standard deviations of first order (delta method).
 fn body(results: &Results) -> Option<Vec<Quantity>> {
     let Results { parameters, covariance, undetermined, .. } = *results;
-    let values: [f64; LINK_COLUMNS] =
-        std::array::from_fn(|k| parameters.get(k).map_or(0.0, |parameter| parameter.value));
-    let mass_std = covariance[(9, 9)].max(0.0).sqrt();
+    let slots: Vec<usize> = parameters.iter().filter_map(|parameter| slot(&parameter.column.name)).collect();
+    let mut values = [0.0; LINK_COLUMNS];
+    slots.iter().zip(parameters).for_each(|(&slot, parameter)| values[slot] = parameter.value);
+    let mass = slots.iter().position(|slot| *slot == LINK_COLUMNS - 1)?;
+    let mass_std = covariance[(mass, mass)].max(0.0).sqrt();
     if values[9].abs() < MASS_DEVIATIONS * mass_std || values[9] == 0.0 {
         return None;
     }
@@ -108,22 +143,24 @@ fn body(results: &Results) -> Option<Vec<Quantity>> {
     let slope = |k: usize| {
         let moved = |by: f64| {
             let mut values = values;
-            values[k] += by * STEP_RATIO * std(k);
+            values[slots[k]] += by * STEP_RATIO * std(k);
             numbers(&values)
         };
         let (up, down) = (moved(1.0), moved(-1.0));
         std::array::from_fn(|i| (up[i] - down[i]) / (2.0 * STEP_RATIO * std(k)))
     };
-    let slopes: [[f64; LINK_COLUMNS]; LINK_COLUMNS] = std::array::from_fn(slope);
+    let slopes: Vec<[f64; LINK_COLUMNS]> = (0..slots.len()).map(slope).collect();
+    // Of a light body only mass and centre are known.
+    let known = if slots.len() == LINK_COLUMNS { LINK_COLUMNS } else { LINK_COLUMNS - LIGHT };
     let quantity = |(i, value): (usize, f64)| {
-        let slope = DVector::from_fn(LINK_COLUMNS, |k, _| slopes[k][i]);
+        let slope = DVector::from_fn(slots.len(), |k, _| slopes[k][i]);
         let variance = (covariance * &slope).dot(&slope);
         let known =
             undetermined.ncols() == 0 || undetermined.tr_mul(&slope.normalize()).norm_squared() <= UNDETERMINED_RATIO;
         let (name, unit) = NUMBERS[i];
         Quantity { name: name.into(), value, std: known.then(|| variance.max(0.0).sqrt()), unit: unit.into() }
     };
-    Some(numbers(&values).into_iter().enumerate().map(quantity).collect())
+    Some(numbers(&values).into_iter().enumerate().take(known).map(quantity).collect())
 }
 
 /// The numbers of [`NUMBERS`] from standard parameters.
@@ -142,7 +179,7 @@ mod tests {
 
     fn parameters(values: &[f64]) -> Vec<Parameter> {
         let column = |k: usize| {
-            let name = format!("p{k}");
+            let name = format!("payload_{}", PARAMETERS[k].0);
             Column { symbol: name.clone(), expression: name.clone(), name, joint: 7, unit: "kg" }
         };
         values.iter().enumerate().map(|(k, &value)| Parameter { column: column(k), value, std: None }).collect()

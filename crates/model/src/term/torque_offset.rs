@@ -30,7 +30,7 @@ pub static FAMILY: Family = Family {
         confounded("position-ripple", FULL_TURN),
     ],
     reference: "Gautier, Janot, Vandanjon, IEEE Trans. Control Systems Technology 21 (2013); Gaz et al., IEEE RA-L 4 (2019)",
-    rare: Rare { whole_arm: Some(term), in_every_arm: true, may_change: true, ..Rare::NONE },
+    rare: Rare { whole_arm: Some(term), in_every_arm: true, may_change: true, comes_at_once: true, ..Rare::NONE },
 };
 
 /// `tau_j = offset_j` in every joint. Columns `offset1 .. offsetn`.

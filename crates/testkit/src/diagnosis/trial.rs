@@ -75,13 +75,14 @@ impl Bench {
                 Experiment::prepare(&run, &plumbline_identify::Settings::default()).expect("an even, periodic run")
             })
             .collect();
-        let trials: Vec<Trial> = experiments.iter().map(|experiment| Trial { experiment, session: 1 }).collect();
+        let trials = Trial::in_turn(&experiments);
         let reduction = Reduction::in_mounting(&self.chain, &case.mounting);
         let structure = Structure::of(self.chain.clone(), reduction, &["friction"]).expect("a shipped term");
         let (identify, rest) = trials.split_at(case.trajectories);
         let (veto, judge) = rest.split_at(1);
         let settings = Settings { threads, ..Settings::default() };
-        let input = Input { structure: &structure, identify, veto, judge, options: &solve::Options::default() };
+        let input =
+            Input { structure: &structure, identify, veto, judge, options: &solve::Options::default(), parts: &[] };
         let start = Instant::now();
         let outcome = diagnose(&input, &settings, &|_| ()).expect("exciting motions");
         let seconds = start.elapsed().as_secs_f64();

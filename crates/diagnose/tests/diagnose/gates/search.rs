@@ -3,7 +3,7 @@
 use super::synthetic::{
     At, FLOOR, ROWS, Recorded, once, once_with_effect, recorded, scaled, with_effect, with_effect_in_noise,
 };
-use plumbline_diagnose::{Candidate, FoldTest, Relevance, Scored, Search, Selected, Settings, State};
+use plumbline_diagnose::{Candidate, FoldTest, Relevance, Scored, Search, Selected, Settings, Span, State};
 use plumbline_model::term::effect::{Family, OperatingPoint, Site, Spec, family};
 use plumbline_model::term::{
     asymmetric_coulomb, asymmetric_viscous, joint_elasticity, position_ripple, spring, torque_offset,
@@ -284,7 +284,7 @@ fn without_repeats_coupled_gears_are_searched_only_where_the_robot_file_has_them
         let chain = chain.clone().with_coupled(vec![[1, 0]]);
         let coupled = OperatingPoint { chain, load: load.clone(), friction: friction.clone() };
         let evidence = search.problem.evidence;
-        assert!(!plumbline_diagnose::library(evidence, &coupled, &coupling, None, 1).is_empty(), "{}", base.base);
+        assert!(!plumbline_diagnose::library(evidence, &coupled, &coupling, Span::ALL, 1).is_empty(), "{}", base.base);
     });
 }
 
@@ -398,7 +398,7 @@ fn what_an_effect_can_not_be_is_no_candidate() {
         let recorded = with_effect(4, 15, &spec, size, |_| [0.0; 2]);
         recorded.search(&family, &Settings::default(), |search, base| {
             let evidence = search.problem.evidence;
-            let item = Candidate::of(evidence, search.operating_point, spec.clone(), None).unwrap();
+            let item = Candidate::of(evidence, search.operating_point, spec.clone(), Span::ALL).unwrap();
             let tried = base.try_in(&search.problem, &item).unwrap();
             assert_eq!(*tried.fit.theta.as_slice().last().unwrap() > 0.0, allowed);
             assert!(tried.evidence > 50.0, "{}", tried.evidence);
@@ -424,7 +424,8 @@ fn an_effect_of_several_joints_belongs_to_the_one_whose_noise_it_exceeds_most() 
             &[&joint_elasticity::FAMILY],
             &Settings::default(),
             |search, base| {
-                let item = Candidate::of(search.problem.evidence, search.operating_point, spec.clone(), None).unwrap();
+                let item =
+                    Candidate::of(search.problem.evidence, search.operating_point, spec.clone(), Span::ALL).unwrap();
                 let tried = base.try_in(&search.problem, &item).unwrap();
                 let found = plumbline_diagnose::relevance(search.problem.evidence, base, &tried, &item);
                 println!("tone in joint {}: {found:?}", tone_in + 1);
@@ -444,7 +445,7 @@ fn an_effect_of_several_joints_belongs_to_the_one_whose_noise_it_exceeds_most() 
         let recorded = with_effect_in_noise(17, &spec, 60.0 * FLOOR, noise);
         recorded.search(&[&joint_elasticity::FAMILY], &Settings::default(), |search, base| {
             let evidence = search.problem.evidence;
-            let item = Candidate::of(evidence, search.operating_point, spec.clone(), None).unwrap();
+            let item = Candidate::of(evidence, search.operating_point, spec.clone(), Span::ALL).unwrap();
             let found =
                 plumbline_diagnose::relevance(evidence, base, &base.try_in(&search.problem, &item).unwrap(), &item);
             let in_noise = |j: usize| found.rms[j] / evidence.floor(j).unwrap();

@@ -1,7 +1,7 @@
 //! Synthetic evidence: a two-joint arm that swings in a vertical plane, with any torque added to that of its model.
 
 use nalgebra::{DMatrix, DVector};
-use plumbline_diagnose::{Columns, Evidence, Problem, Search, Settings, State, Trial, library};
+use plumbline_diagnose::{Columns, Evidence, Problem, Search, Settings, Span, State, Trial, library};
 use plumbline_identify::{Experiment, Run};
 use plumbline_model::term::Motion;
 use plumbline_model::term::effect::{Family, Spec};
@@ -193,7 +193,7 @@ fn along_in_noise(motions: &[Motion], seed: u64, noise: [f64; 2], added: impl Fn
 impl Recorded {
     /// As what a diagnosis takes.
     pub fn trials(&self) -> Vec<Trial<'_>> {
-        self.experiments.iter().map(|experiment| Trial { experiment, session: 1 }).collect()
+        Trial::in_turn(&self.experiments)
     }
 
     /// The plain model fitted to it, and a search among these families.
@@ -209,7 +209,7 @@ impl Recorded {
         let problem = Problem { evidence: &evidence, prior: None };
         let base = State::base(&problem, columns);
         let operating_point = self.structure.operating_point(base.fit.theta.as_slice());
-        let library = library(&evidence, &operating_point, families, None, 1);
+        let library = library(&evidence, &operating_point, families, Span::ALL, 1);
         look(&Search { problem, operating_point: &operating_point, library: &library, settings }, &base)
     }
 }

@@ -1,0 +1,126 @@
+//! Effects that act in a part of the recording alone: what came, between two runs or within one, while the arm was identified.
+//!
+//! They are in no model. What they do is taken off the torques that the model is identified from, and added to what it predicts where they act.
+
+use super::evidence::{Evidence, Trial};
+use super::library::{Candidate, library};
+use super::outcome::Acts;
+use super::span::Span;
+use super::state::State;
+use nalgebra::{DMatrix, DVector};
+use plumbline_identify::Experiment;
+use plumbline_model::Chain;
+use plumbline_model::term::effect::{FAMILIES, Family, OperatingPoint};
+use plumbline_model::term::{Motion, Term};
+use std::sync::Arc;
+
+/// The effects of a fitted state that act in a part.
+pub(super) struct Acting<'a> {
+    chain: &'a Chain,
+    parts: Vec<Part>,
+}
+
+struct Part {
+    term: Arc<dyn Term>,
+    theta: DVector<f64>,
+    span: Span,
+}
+
+impl<'a> Acting<'a> {
+    /// Of a state at an operating point.
+    pub fn of(chain: &'a Chain, state: &State, operating_point: &OperatingPoint) -> Acting<'a> {
+        let part = |(index, item): (usize, &Candidate)| {
+            let term = item.spec.build(operating_point).ok().filter(|_| !item.span.is_all())?;
+            let range = state.range(index);
+            Some(Part { term, theta: state.fit.theta.rows(range.start, range.len()).into_owned(), span: item.span })
+        };
+        Acting { chain, parts: state.items.iter().enumerate().filter_map(part).collect() }
+    }
+
+    /// Whether there are none.
+    pub fn is_empty(&self) -> bool {
+        self.parts.is_empty()
+    }
+
+    /// What they do to a run along its motion, N x n \[Nm\].
+    pub fn torque(&self, trial: &Trial, motion: &Motion) -> DMatrix<f64> {
+        let (samples, joints) = (motion.samples(), motion.joints());
+        let mut tau = DMatrix::zeros(samples, joints);
+        for Part { term, theta, span } in &self.parts {
+            let share = trial.experiment.timeline.share_between(span.from - trial.start, span.to - trial.start);
+            if share.iter().all(|share| *share == 0.0) {
+                continue;
+            }
+            let mut y = DMatrix::zeros(samples * joints, theta.len());
+            term.fill(self.chain, motion, &mut y, 0);
+            let torque = y * theta;
+            for (k, value) in torque.iter().enumerate() {
+                tau[(k % samples, k / samples)] += share[k % samples] * value;
+            }
+        }
+        tau
+    }
+
+    /// Experiments without what they do.
+    pub fn taken_off(&self, trials: &[Trial]) -> Vec<Experiment> {
+        let without = |trial: &Trial| {
+            let mut experiment = trial.experiment.clone();
+            experiment.tau -= self.torque(trial, &experiment.motion);
+            experiment
+        };
+        trials.iter().map(without).collect()
+    }
+}
+
+/// Kinds of effect that may come within a recording.
+pub(super) fn families() -> Vec<&'static Family> {
+    FAMILIES.iter().copied().filter(|family| family.rare.comes_at_once).collect()
+}
+
+/// Candidates that act from the begin of a run on, in one run alone, in `known` parts, and from every block of a motion that does not repeat on.
+pub(super) fn candidates(
+    evidence: &Evidence,
+    operating_point: &OperatingPoint,
+    trials: &[Trial],
+    known: &[Span],
+    threads: usize,
+) -> Vec<Candidate> {
+    let everywhere = library(evidence, operating_point, &families(), Span::ALL, threads);
+    let parts = whole_folds(evidence, trials).into_iter();
+    let of_part = |span| everywhere.iter().filter_map(move |item| item.in_folds(evidence, span));
+    let inside = known.iter().flat_map(|span| library(evidence, operating_point, &families(), *span, threads));
+    parts.flat_map(of_part).chain(inside).collect()
+}
+
+/// Parts of the recording that consist of folds: from a run on, a run alone, and from a block of a motion that does not repeat on; nothing tells the
+/// time of a step in such a motion before the search.
+fn whole_folds(evidence: &Evidence, trials: &[Trial]) -> Vec<Span> {
+    let mut starts: Vec<f64> = trials.iter().map(|trial| trial.start).collect();
+    starts.sort_by(f64::total_cmp);
+    starts.dedup();
+    let since = starts.iter().skip(1).map(|&start| Span::since(start));
+    // The last run alone is the same as since its begin.
+    let alone = starts.windows(2).skip(1).map(|pair| Span { from: pair[0], to: pair[1] });
+    let folds = evidence.folds().iter().zip(evidence.begins()).filter(|(fold, _)| fold.samples.start > 0);
+    let blocks = folds.flat_map(|(fold, from)| {
+        let later = starts.iter().find(|start| **start > trials[fold.experiment].start);
+        [Some(Span::since(from)), later.map(|&to| Span { from, to })].into_iter().flatten()
+    });
+    since.chain(alone).chain(blocks).collect()
+}
+
+/// Where in its runs a part of the recording begins and ends; `None` for the whole.
+pub(super) fn acts(span: Span, trials: &[Trial]) -> Option<Acts> {
+    let inside = |time: f64| {
+        let run = trials.iter().rev().find(|trial| trial.start <= time)?;
+        Some((run.experiment.name.clone(), time - run.start))
+    };
+    let (run, from) = inside(span.from)?;
+    Some(Acts { run, from, to_end_of_recording: span.to == f64::INFINITY })
+}
+
+/// Whether any of these runs has samples in a part of the recording.
+pub(super) fn any_in(span: Span, trials: &[Trial]) -> bool {
+    let ends = |trial: &Trial| trial.start + trial.experiment.timeline.end();
+    trials.iter().any(|trial| trial.start < span.to && ends(trial) > span.from)
+}
