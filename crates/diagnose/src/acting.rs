@@ -10,7 +10,7 @@ use super::state::State;
 use nalgebra::{DMatrix, DVector};
 use plumbline_identify::Experiment;
 use plumbline_model::Chain;
-use plumbline_model::term::effect::{FAMILIES, Family, OperatingPoint};
+use plumbline_model::term::effect::{FAMILIES, Family, OperatingPoint, Place};
 use plumbline_model::term::{Motion, Term};
 use std::sync::Arc;
 
@@ -72,9 +72,11 @@ impl<'a> Acting<'a> {
     }
 }
 
-/// Kinds of effect that may come within a recording.
-pub(super) fn families() -> Vec<&'static Family> {
-    FAMILIES.iter().copied().filter(|family| family.rare.comes_at_once).collect()
+/// Kinds of effect that may come within a recording. Where the noise is unknown a change of friction or of an encoder fits much that has no name, and
+/// of effects in one joint only an offset is tried.
+fn families(evidence: &Evidence) -> Vec<&'static Family> {
+    let tried = |family: &Family| evidence.repeats() || family.place == Place::Arm || family.rare.in_every_arm;
+    FAMILIES.iter().copied().filter(|family| family.rare.comes_at_once && tried(family)).collect()
 }
 
 /// Candidates that act from the begin of a run on, in one run alone, in `known` parts, and from every block of a motion that does not repeat on.
@@ -85,10 +87,11 @@ pub(super) fn candidates(
     known: &[Span],
     threads: usize,
 ) -> Vec<Candidate> {
-    let everywhere = library(evidence, operating_point, &families(), Span::ALL, threads);
+    let families = families(evidence);
+    let everywhere = library(evidence, operating_point, &families, Span::ALL, threads);
     let parts = whole_folds(evidence, trials).into_iter();
     let of_part = |span| everywhere.iter().filter_map(move |item| item.in_folds(evidence, span));
-    let inside = known.iter().flat_map(|span| library(evidence, operating_point, &families(), *span, threads));
+    let inside = known.iter().flat_map(|span| library(evidence, operating_point, &families, *span, threads));
     parts.flat_map(of_part).chain(inside).collect()
 }
 
