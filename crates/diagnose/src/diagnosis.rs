@@ -93,9 +93,10 @@ pub fn diagnose(input: &Input, settings: &Settings, progress: &dyn Fn(&Step)) ->
     let operating_point = relinearised.as_ref().unwrap_or(&operating_point);
     let search = search.at(operating_point);
     let selected = search.finish(draft, progress);
-    let selected = vetoed(&search, selected, input, settings);
+    let mut selected = vetoed(&search, selected, input, settings);
 
     let unseen = Evidence::of(structure.chain(), input.unseen(), settings.band);
+    end_where_refuted(&search, &mut selected.state, &unseen, input);
     let (lacks, adequacy) = {
         let model = Unseen::of(&unseen, structure, input.unseen(), &selected.state, operating_point);
         let lacks = model.lacks(&base.fit.theta);
@@ -314,6 +315,27 @@ fn vetoed(search: &Search, mut selected: Selected, input: &Input, settings: &Set
         item = 0;
     }
     selected
+}
+
+/// Ends with the identified runs what came within them and without which the unseen runs after it are predicted better: it has gone by then.
+fn end_where_refuted(search: &Search, state: &mut State, evidence: &Evidence, input: &Input) {
+    let end = input.identify.iter().map(|trial| trial.start + trial.experiment.timeline.end()).fold(0.0, f64::max);
+    for item in 0..state.items.len() {
+        let span = state.items[item].span;
+        if span.is_all() || span.to.is_finite() || !acting::any_in(Span::since(end), input.unseen()) {
+            continue;
+        }
+        let unseen = Unseen::of(evidence, input.structure, input.unseen(), state, search.operating_point);
+        let mut without = state.fit.theta.clone();
+        let range = state.range(item);
+        without.rows_mut(range.start, range.len()).fill(0.0);
+        let error = |theta: &DVector<f64>| -> f64 {
+            (0..evidence.joints()).map(|joint| unseen.residual(joint, theta).norm_squared()).sum()
+        };
+        if error(&state.fit.theta) > error(&without) {
+            state.items[item].span.to = end;
+        }
+    }
 }
 
 fn effects_of(
