@@ -2,11 +2,11 @@
 
 use super::EstimateError;
 use super::differentiate::Differentiator;
-use super::faults::replace_spoiled;
-use super::periods::{NoiseOfMean, Scatter, average, centre, mean, weights};
+use super::even::Even;
+use super::faults::resolution;
+use super::periods::{NoiseOfMean, Scatter, centre, mean};
 use super::run::Run;
 use super::settings::Settings;
-use super::settling::settling;
 use super::signal::butterworth::Butterworth;
 use super::signal::resample::{Sampling, resample};
 use super::signal::spectral::Spectral;
@@ -26,10 +26,6 @@ const COMPARISON_CUTOFF_HZ: f64 = 20.0;
 const APERIODIC_CUTOFF_HZ: f64 = 10.0;
 /// Maximum velocity noise that the position filter may pass \[rad/s\]. Friction reverses within 0.01 rad/s; more noise would blur its sign.
 const MAX_VELOCITY_NOISE: f64 = 1e-3;
-/// Longest stretch of replaced samples of an aperiodic run that enters the regression \[s\].
-const MAX_LINE_S: f64 = 0.02;
-/// Positions that are nearer are the same \[rad\]: no encoder resolves that, and files round.
-const MIN_RESOLUTION: f64 = 1e-9;
 /// Maximum ratio of the position cut-off to half the sampling rate.
 const MAX_NYQUIST_RATIO: f64 = 0.8;
 
@@ -93,139 +89,14 @@ pub struct Repeats {
     pub counted: Vec<bool>,
 }
 
-/// Samples of a run after resampling and averaging.
-struct Even {
-    /// Positions, torques and, where used, measured velocities, N x 2n or N x 3n.
-    values: DMatrix<f64>,
-    sampling: Sampling,
-    /// Whether the run is periodic.
-    periodic: bool,
-    /// Indices of the periods that are used.
-    periods: Vec<usize>,
-    /// Weights of their samples in the mean.
-    weights: Vec<f64>,
-    scatter: Option<Scatter>,
-    deviations: DMatrix<f64>,
-    counted: Vec<bool>,
-    settling: f64,
-    /// Samples of an aperiodic run that were replaced.
-    spoiled: Vec<bool>,
-    /// Torques that were replaced, per joint.
-    replaced: Vec<usize>,
-}
-
 impl Experiment {
     /// Resamples a run to an even grid, averages its periods, filters and differentiates the positions.
     ///
     /// # Errors
     /// Samples that can't be processed; too few periods or samples.
     pub fn prepare(run: &Run, settings: &Settings) -> Result<Experiment, EstimateError> {
-        let signal = |source| EstimateError::Signal { run: run.name.clone(), source };
-        let n = run.joints();
-        if run.tau.shape() != run.q.shape() {
-            return Err(signal(SignalError::Shape { what: "tau", found: run.tau.nrows(), expected: run.q.nrows() }));
-        }
-        let dq = run.dq.as_ref().filter(|_| settings.measured_velocities && run.period.is_none());
-        if let Some(found) = dq.map(DMatrix::nrows).filter(|&found| found != run.q.nrows()) {
-            return Err(signal(SignalError::Shape { what: "dq", found, expected: run.q.nrows() }));
-        }
-        let mut values = DMatrix::zeros(run.q.nrows(), if dq.is_some() { 3 * n } else { 2 * n });
-        values.columns_mut(0, n).copy_from(&run.q);
-        values.columns_mut(n, n).copy_from(&run.tau);
-        if let Some(dq) = dq {
-            values.columns_mut(2 * n, n).copy_from(dq);
-        }
-        let measured = values.clone();
-        let spoiled = replace_spoiled(&mut values, n..2 * n);
-        let mut even = resample(&run.t, &values, None).map_err(signal)?;
-        let Some(period) = run.period else {
-            let (mut all, mut replaced) = (vec![false; even.values.nrows()], vec![0; n]);
-            for (c, rows) in &spoiled {
-                if let Some(replaced) = c.checked_sub(n).and_then(|joint| replaced.get_mut(joint)) {
-                    *replaced = rows.iter().filter(|row| **row).count();
-                }
-                let own = on_grid(rows, &run.t, all.len(), even.sampling.dt);
-                all.iter_mut().zip(own).for_each(|(all, own)| *all |= own);
-            }
-            let even = Even {
-                values: even.values,
-                sampling: even.sampling,
-                periodic: false,
-                periods: Vec::new(),
-                weights: Vec::new(),
-                scatter: None,
-                deviations: DMatrix::zeros(0, 2 * n),
-                counted: Vec::new(),
-                settling: 0.0,
-                spoiled: all,
-                replaced,
-            };
-            return Experiment::build(run, settings, even).map_err(signal);
-        };
-
-        // A whole number of samples per period, so that the periods are aligned.
-        let samples = (period / even.sampling.dt).round();
-        if !(samples >= 16.0 && samples.is_finite()) {
-            return Err(EstimateError::Period { run: run.name.clone(), period, dt: even.sampling.dt });
-        }
-        let samples = samples as usize;
-        let dt = period / samples as f64;
-        if (dt - even.sampling.dt).abs() > 1e-12 {
-            even = resample(&run.t, &values, Some(dt)).map_err(signal)?;
-        }
-        let found = even.values.nrows() / samples;
-        let skipped = settings.skip_periods;
-        if found <= skipped {
-            return Err(EstimateError::Periods { run: run.name.clone(), found, skipped, period });
-        }
-        let first = skipped * samples;
-        let mut rest = even.values.rows(first, (found - skipped) * samples).into_owned();
-        let mut left_out = vec![false; rest.nrows()];
-        settings.left_out(&run.name).for_each(|one| one.mark(&mut left_out, first, dt));
-        let mut filled = even.filled[first..found * samples].to_vec();
-        let mut replaced = vec![0; n];
-        if !spoiled.is_empty() {
-            let measured =
-                resample(&run.t, &measured, Some(dt)).map_err(signal)?.values.rows_range(first..).into_owned();
-            for (c, rows) in &spoiled {
-                let rows = on_grid(rows, &run.t, even.values.nrows(), dt);
-                let own = take_from_other_periods(&mut rest, &measured, *c, &rows[first..found * samples], samples);
-                if let Some(replaced) = c.checked_sub(n).and_then(|joint| replaced.get_mut(joint)) {
-                    *replaced = own;
-                }
-            }
-        }
-        let settling = settling(&rest.columns(0, n).into_owned(), &left_out, samples, dt);
-        left_out[..settling].fill(true);
-        let mut periods: Vec<usize> = (skipped..found).collect();
-        // Periods that are excluded as a whole are removed.
-        let gone = left_out.chunks(samples).enumerate().filter(|(_, period)| period.iter().all(|left_out| *left_out));
-        let gone: Vec<usize> = gone.map(|(k, _)| k).collect();
-        for k in gone.into_iter().rev() {
-            rest = rest.remove_rows(k * samples, samples);
-            filled.drain(k * samples..(k + 1) * samples);
-            left_out.drain(k * samples..(k + 1) * samples);
-            periods.remove(k);
-        }
-        if periods.is_empty() {
-            return Err(EstimateError::Periods { run: run.name.clone(), found, skipped: found, period });
-        }
-        let weights = weights(&filled, &left_out, samples, dt);
-        let averaged = average(&rest, &weights, samples, dt);
-        let even = Even {
-            periods,
-            weights,
-            values: averaged.mean,
-            sampling: even.sampling,
-            periodic: true,
-            scatter: averaged.scatter,
-            deviations: averaged.deviations,
-            counted: averaged.counted,
-            settling: settling as f64 * dt,
-            spoiled: Vec::new(),
-            replaced,
-        };
-        Experiment::build(run, settings, even).map_err(signal)
+        let even = Even::of(run, settings)?;
+        Experiment::build(run, settings, even).map_err(|source| EstimateError::Signal { run: run.name.clone(), source })
     }
 
     fn build(run: &Run, settings: &Settings, even: Even) -> Result<Experiment, SignalError> {
@@ -239,7 +110,7 @@ impl Experiment {
             deviations,
             counted,
             settling,
-            spoiled,
+            long_lines,
             replaced,
         } = even;
         let (n, samples, dt) = (run.joints(), values.nrows(), sampling.dt);
@@ -290,7 +161,7 @@ impl Experiment {
                 tau: of_tau(),
                 counted,
             }),
-            resolution: run.q.column_iter().map(|column| resolution(column.as_slice())).collect(),
+            resolution: run.q.column_iter().map(|column| resolution(column.as_slice()).unwrap_or(0.0)).collect(),
             position_noise: scatter.as_ref().map(|scatter| scatter.std[..n].to_vec()),
             scatter: scatter.map(|scatter| scatter.select(n..2 * n)),
             desired: None,
@@ -310,7 +181,7 @@ impl Experiment {
         experiment.exclude_rests(settings.rest);
         if !periodic {
             settings.left_out(&run.name).for_each(|one| one.mark(&mut experiment.resting, edge, dt));
-            for (out, rows) in experiment.resting.iter_mut().zip(&long_stretches(spoiled, dt)[edge..]) {
+            for (out, rows) in experiment.resting.iter_mut().zip(&long_lines[edge..]) {
                 *out |= rows;
             }
             experiment.kept.retain(|&k| !experiment.resting[k]);
@@ -528,54 +399,6 @@ impl Experiment {
     pub fn stacked_tau(&self) -> DMatrix<f64> {
         DMatrix::from_column_slice(self.tau.len(), 1, self.tau.as_slice())
     }
-}
-
-/// Samples of an even grid that begins at the first time stamp, from rows at uneven times \[s\].
-fn on_grid(rows: &[bool], t: &[f64], samples: usize, dt: f64) -> Vec<bool> {
-    let mut grid = vec![false; samples];
-    for (_, time) in rows.iter().zip(t).filter(|(row, _)| **row) {
-        // The nearest sample: the others are interpolated from rows that were replaced.
-        let at = ((time - t[0]) / dt).round() as usize;
-        grid[at.min(samples - 1)] = true;
-    }
-    grid
-}
-
-/// Replaces samples of a column by the mean of the other periods at the same place, and returns how many. What every period does is `measured`.
-fn take_from_other_periods(
-    values: &mut DMatrix<f64>,
-    measured: &DMatrix<f64>,
-    column: usize,
-    spoiled: &[bool],
-    samples: usize,
-) -> usize {
-    let mut replaced = 0;
-    for row in (0..spoiled.len()).filter(|&row| spoiled[row]) {
-        let others = (row % samples..spoiled.len()).step_by(samples).filter(|&other| !spoiled[other]);
-        let (sum, count) = others.fold((0.0, 0.0), |(sum, count), other| (sum + values[(other, column)], count + 1.0));
-        replaced += usize::from(count > 0.0);
-        values[(row, column)] = if count > 0.0 { sum / count } else { measured[(row, column)] };
-    }
-    replaced
-}
-
-/// Stretches that are too long for the line across them to be the signal.
-fn long_stretches(mut out: Vec<bool>, dt: f64) -> Vec<bool> {
-    let least = (MAX_LINE_S / dt).ceil() as usize;
-    for stretch in out.chunk_by_mut(|a, b| a == b) {
-        if stretch.len() <= least {
-            stretch.fill(false);
-        }
-    }
-    out
-}
-
-/// Smallest difference between two values that are not equal but for rounding; 0 where all are.
-fn resolution(values: &[f64]) -> f64 {
-    let mut sorted = values.to_vec();
-    sorted.sort_unstable_by(f64::total_cmp);
-    let steps = sorted.windows(2).map(|pair| pair[1] - pair[0]).filter(|step| *step > MIN_RESOLUTION);
-    steps.reduce(f64::min).unwrap_or(0.0)
 }
 
 /// Motion of positions and, where given, measured velocities, without `edge` samples at both ends. Measured velocities pass the filter

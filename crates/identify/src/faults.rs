@@ -18,22 +18,22 @@ const MAX_SPIKES_RATIO: f64 = 2e-3;
 const MIN_DROP_OUT_SAMPLES: usize = 5;
 /// Least torque before and after a drop-out, in standard deviations of white noise.
 const MIN_DROP_OUT_DEVIATIONS: f64 = 8.0;
-/// Values that are nearer are the same: files round.
+/// Values that are nearer are the same: no sensor resolves that, and files round.
 const SAME_VALUE: f64 = 1e-9;
 
-/// Replaces spoiled samples, rows in time, by a straight line between their neighbours. Drop-outs are sought in `torques`, some of the columns.
-/// Returns the columns in which rows were replaced, with those rows.
-pub(super) fn replace_spoiled(values: &mut DMatrix<f64>, torques: Range<usize>) -> Vec<(usize, Vec<bool>)> {
+/// Columns of `values` with spoiled samples, and their rows. Drop-outs are sought in `torques`, some of the columns.
+pub(super) fn spoiled(values: &DMatrix<f64>, torques: Range<usize>) -> Vec<(usize, Vec<bool>)> {
     let mut spoiled = Vec::new();
-    for (c, mut column) in values.column_iter_mut().enumerate() {
-        let x = column.as_mut_slice();
-        let mut own = spikes(x);
-        if torques.contains(&c) {
-            drop_outs(x).into_iter().for_each(|rows| own[rows].fill(true));
+    for (column, x) in values.as_slice().chunks(values.nrows().max(1)).enumerate() {
+        // A column without two different values has nothing that stands out.
+        let Some(resolution) = resolution(x) else { continue };
+        let noise = noise(x);
+        let mut rows = spikes(x, noise, resolution);
+        if torques.contains(&column) {
+            drop_outs(x, noise, resolution).into_iter().for_each(|out| rows[out].fill(true));
         }
-        if own.contains(&true) {
-            interpolate(x, &own);
-            spoiled.push((c, own));
+        if rows.contains(&true) {
+            spoiled.push((column, rows));
         }
     }
     spoiled
@@ -50,21 +50,21 @@ fn noise(x: &[f64]) -> f64 {
     1.4826 * *median / 1.5_f64.sqrt()
 }
 
-/// Smallest difference between values that are not equal.
-fn resolution(x: &[f64]) -> f64 {
+/// Smallest difference between two values that are not equal but for rounding; `None` where all are.
+pub(super) fn resolution(x: &[f64]) -> Option<f64> {
     let mut sorted = x.to_vec();
     sorted.sort_unstable_by(f64::total_cmp);
-    sorted.windows(2).map(|pair| pair[1] - pair[0]).filter(|step| *step > SAME_VALUE).fold(f64::INFINITY, f64::min)
+    sorted.windows(2).map(|pair| pair[1] - pair[0]).filter(|step| *step > SAME_VALUE).reduce(f64::min)
 }
 
-fn spikes(x: &[f64]) -> Vec<bool> {
+fn spikes(x: &[f64], noise: f64, resolution: f64) -> Vec<bool> {
     let mut found = vec![false; x.len()];
-    let least = (MIN_SPIKE_DEVIATIONS * noise(x)).max(MIN_SPIKE_STEPS * resolution(x));
-    if !least.is_finite() || x.len() <= 2 * NEIGHBOURS {
+    let least = (MIN_SPIKE_DEVIATIONS * noise).max(MIN_SPIKE_STEPS * resolution);
+    if x.len() <= 2 * NEIGHBOURS {
         return found;
     }
     for k in NEIGHBOURS..x.len() - NEIGHBOURS {
-        let mut around: Vec<f64> = x[k - NEIGHBOURS..=k + NEIGHBOURS].to_vec();
+        let mut around: [f64; 2 * NEIGHBOURS + 1] = std::array::from_fn(|m| x[k - NEIGHBOURS + m]);
         around.sort_unstable_by(f64::total_cmp);
         let height = (x[k] - around[NEIGHBOURS]).abs();
         let edge = (x[k + NEIGHBOURS] - x[k - NEIGHBOURS]).abs();
@@ -78,8 +78,7 @@ fn spikes(x: &[f64]) -> Vec<bool> {
 }
 
 /// Stretches of exact zeros that a torque jumps to and back from, or whose noise would not leave it at zero.
-fn drop_outs(x: &[f64]) -> Vec<Range<usize>> {
-    let (noise, resolution) = (noise(x), resolution(x));
+fn drop_outs(x: &[f64], noise: f64, resolution: f64) -> Vec<Range<usize>> {
     let (least, noisy) = ((MIN_DROP_OUT_DEVIATIONS * noise).max(MIN_SPIKE_STEPS * resolution), noise > resolution);
     let mut found = Vec::new();
     let mut first = 0;
@@ -97,7 +96,7 @@ fn drop_outs(x: &[f64]) -> Vec<Range<usize>> {
 }
 
 /// A straight line across the rows that are `out`; at the ends the nearest value.
-fn interpolate(x: &mut [f64], out: &[bool]) {
+pub(super) fn interpolate(x: &mut [f64], out: &[bool]) {
     let mut row = 0;
     while row < x.len() {
         if !out[row] {
@@ -121,6 +120,13 @@ mod tests {
     use super::*;
     use rand::{Rng, SeedableRng};
     use rand_chacha::ChaCha8Rng;
+
+    /// Replaces spoiled samples, and returns them.
+    fn replace_spoiled(values: &mut DMatrix<f64>, torques: Range<usize>) -> Vec<(usize, Vec<bool>)> {
+        let spoiled = spoiled(values, torques);
+        spoiled.iter().for_each(|(column, rows)| interpolate(values.column_mut(*column).as_mut_slice(), rows));
+        spoiled
+    }
 
     /// A swinging torque with a step of friction where it turns back, and noise.
     fn torque() -> Vec<f64> {

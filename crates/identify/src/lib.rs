@@ -48,6 +48,7 @@ mod covariance;
 mod differentiate;
 mod direction;
 mod essential;
+mod even;
 mod experiment;
 mod faults;
 mod mounting_check;

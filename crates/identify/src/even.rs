@@ -1,0 +1,191 @@
+//! Samples of one run on an even grid: resampled, spoiled ones replaced, periods averaged.
+
+use super::EstimateError;
+use super::faults::{interpolate, spoiled};
+use super::periods::{Scatter, average, weights};
+use super::run::Run;
+use super::settings::Settings;
+use super::settling::settling;
+use super::signal::SignalError;
+use super::signal::resample::{Sampling, resample};
+use nalgebra::{DMatrix, DMatrixView};
+
+/// Longest stretch of replaced samples of an aperiodic run that enters the regression \[s\].
+const MAX_LINE_S: f64 = 0.02;
+
+/// Samples of a run after resampling and averaging.
+pub(super) struct Even {
+    /// Positions, torques and, where used, measured velocities, N x 2n or N x 3n.
+    pub values: DMatrix<f64>,
+    pub sampling: Sampling,
+    /// Whether the run is periodic.
+    pub periodic: bool,
+    /// Indices of the periods that are used.
+    pub periods: Vec<usize>,
+    /// Weights of their samples in the mean.
+    pub weights: Vec<f64>,
+    pub scatter: Option<Scatter>,
+    pub deviations: DMatrix<f64>,
+    pub counted: Vec<bool>,
+    /// See [`super::Experiment::settling`].
+    pub settling: f64,
+    /// Samples of an aperiodic run in lines across spoiled samples that are too long to be the signal.
+    pub long_lines: Vec<bool>,
+    /// Torques that were replaced, per joint.
+    pub replaced: Vec<usize>,
+}
+
+impl Even {
+    /// Of a run.
+    ///
+    /// # Errors
+    /// Samples that can't be processed; too few periods or samples.
+    pub fn of(run: &Run, settings: &Settings) -> Result<Even, EstimateError> {
+        let signal = |source| EstimateError::Signal { run: run.name.clone(), source };
+        let n = run.joints();
+        if run.tau.shape() != run.q.shape() {
+            return Err(signal(SignalError::Shape { what: "tau", found: run.tau.nrows(), expected: run.q.nrows() }));
+        }
+        let dq = run.dq.as_ref().filter(|_| settings.measured_velocities && run.period.is_none());
+        if let Some(found) = dq.map(DMatrix::nrows).filter(|&found| found != run.q.nrows()) {
+            return Err(signal(SignalError::Shape { what: "dq", found, expected: run.q.nrows() }));
+        }
+        let mut values = DMatrix::zeros(run.q.nrows(), if dq.is_some() { 3 * n } else { 2 * n });
+        values.columns_mut(0, n).copy_from(&run.q);
+        values.columns_mut(n, n).copy_from(&run.tau);
+        if let Some(dq) = dq {
+            values.columns_mut(2 * n, n).copy_from(dq);
+        }
+        let spoiled = spoiled(&values, n..2 * n);
+        let measured = (!spoiled.is_empty()).then(|| values.clone());
+        spoiled.iter().for_each(|(column, rows)| interpolate(values.column_mut(*column).as_mut_slice(), rows));
+        let mut replaced = vec![0; n];
+        let mut count = |column: usize, rows: usize| {
+            if let Some(replaced) = column.checked_sub(n).and_then(|joint| replaced.get_mut(joint)) {
+                *replaced = rows;
+            }
+        };
+        let mut even = resample(&run.t, &values, None).map_err(signal)?;
+        let Some(period) = run.period else {
+            let mut lines = vec![false; even.values.nrows()];
+            for (column, rows) in &spoiled {
+                count(*column, rows.iter().filter(|row| **row).count());
+                let own = on_grid(rows, &run.t, lines.len(), even.sampling.dt);
+                lines.iter_mut().zip(own).for_each(|(all, own)| *all |= own);
+            }
+            return Ok(Even {
+                long_lines: long_stretches(lines, even.sampling.dt),
+                values: even.values,
+                sampling: even.sampling,
+                periodic: false,
+                periods: Vec::new(),
+                weights: Vec::new(),
+                scatter: None,
+                deviations: DMatrix::zeros(0, 2 * n),
+                counted: Vec::new(),
+                settling: 0.0,
+                replaced,
+            });
+        };
+
+        // A whole number of samples per period, so that the periods are aligned.
+        let samples = (period / even.sampling.dt).round();
+        if !(samples >= 16.0 && samples.is_finite()) {
+            return Err(EstimateError::Period { run: run.name.clone(), period, dt: even.sampling.dt });
+        }
+        let samples = samples as usize;
+        let dt = period / samples as f64;
+        if (dt - even.sampling.dt).abs() > 1e-12 {
+            even = resample(&run.t, &values, Some(dt)).map_err(signal)?;
+        }
+        let found = even.values.nrows() / samples;
+        let skipped = settings.skip_periods;
+        if found <= skipped {
+            return Err(EstimateError::Periods { run: run.name.clone(), found, skipped, period });
+        }
+        let first = skipped * samples;
+        let mut rest = even.values.rows(first, (found - skipped) * samples).into_owned();
+        let mut left_out = vec![false; rest.nrows()];
+        settings.left_out(&run.name).for_each(|one| one.mark(&mut left_out, first, dt));
+        let mut filled = even.filled[first..found * samples].to_vec();
+        if let Some(measured) = measured {
+            let measured = resample(&run.t, &measured, Some(dt)).map_err(signal)?.values;
+            let measured = measured.rows(first, rest.nrows());
+            for (column, rows) in &spoiled {
+                let rows = on_grid(rows, &run.t, even.values.nrows(), dt);
+                let rows = &rows[first..found * samples];
+                count(*column, take_from_other_periods(&mut rest, &measured, *column, rows, samples));
+            }
+        }
+        let settling = settling(&rest.columns(0, n).into_owned(), &left_out, samples, dt);
+        left_out[..settling].fill(true);
+        let mut periods: Vec<usize> = (skipped..found).collect();
+        // Periods that are excluded as a whole are removed.
+        let gone = left_out.chunks(samples).enumerate().filter(|(_, period)| period.iter().all(|left_out| *left_out));
+        let gone: Vec<usize> = gone.map(|(k, _)| k).collect();
+        for k in gone.into_iter().rev() {
+            rest = rest.remove_rows(k * samples, samples);
+            filled.drain(k * samples..(k + 1) * samples);
+            left_out.drain(k * samples..(k + 1) * samples);
+            periods.remove(k);
+        }
+        if periods.is_empty() {
+            return Err(EstimateError::Periods { run: run.name.clone(), found, skipped: found, period });
+        }
+        let weights = weights(&filled, &left_out, samples, dt);
+        let averaged = average(&rest, &weights, samples, dt);
+        Ok(Even {
+            periods,
+            weights,
+            values: averaged.mean,
+            sampling: even.sampling,
+            periodic: true,
+            scatter: averaged.scatter,
+            deviations: averaged.deviations,
+            counted: averaged.counted,
+            settling: settling as f64 * dt,
+            long_lines: Vec::new(),
+            replaced,
+        })
+    }
+}
+
+/// Samples of an even grid that begins at the first time stamp, from rows at uneven times \[s\].
+fn on_grid(rows: &[bool], t: &[f64], samples: usize, dt: f64) -> Vec<bool> {
+    let mut grid = vec![false; samples];
+    for (_, time) in rows.iter().zip(t).filter(|(row, _)| **row) {
+        // The nearest sample: the others are interpolated from rows that were replaced.
+        let at = ((time - t[0]) / dt).round() as usize;
+        grid[at.min(samples - 1)] = true;
+    }
+    grid
+}
+
+/// Replaces samples of a column by the mean of the other periods at the same place, and returns how many. What every period does is `measured`.
+fn take_from_other_periods(
+    values: &mut DMatrix<f64>,
+    measured: &DMatrixView<f64>,
+    column: usize,
+    spoiled: &[bool],
+    samples: usize,
+) -> usize {
+    let mut replaced = 0;
+    for row in (0..spoiled.len()).filter(|&row| spoiled[row]) {
+        let others = (row % samples..spoiled.len()).step_by(samples).filter(|&other| !spoiled[other]);
+        let (sum, count) = others.fold((0.0, 0.0), |(sum, count), other| (sum + values[(other, column)], count + 1.0));
+        replaced += usize::from(count > 0.0);
+        values[(row, column)] = if count > 0.0 { sum / count } else { measured[(row, column)] };
+    }
+    replaced
+}
+
+/// Stretches that are too long for the line across them to be the signal.
+fn long_stretches(mut out: Vec<bool>, dt: f64) -> Vec<bool> {
+    let least = (MAX_LINE_S / dt).ceil() as usize;
+    for stretch in out.chunk_by_mut(|a, b| a == b) {
+        if stretch.len() <= least {
+            stretch.fill(false);
+        }
+    }
+    out
+}
