@@ -3,15 +3,16 @@
 //! They are in no model. What they do is taken off the torques that the model is identified from, and added to what it predicts where they act.
 
 use super::evidence::{Evidence, Trial};
-use super::library::{Candidate, library};
+use super::library::{Candidate, library, sudden};
 use super::outcome::Acts;
 use super::span::Span;
 use super::state::State;
 use nalgebra::{DMatrix, DVector};
 use plumbline_identify::Experiment;
 use plumbline_model::Chain;
-use plumbline_model::term::effect::{FAMILIES, Family, OperatingPoint, Place};
+use plumbline_model::term::effect::{Family, OperatingPoint, Place};
 use plumbline_model::term::{Motion, Term};
+use std::borrow::Cow;
 use std::sync::Arc;
 
 /// The effects of a fitted state that act in a part.
@@ -37,11 +38,6 @@ impl<'a> Acting<'a> {
         Acting { chain, parts: state.items.iter().enumerate().filter_map(part).collect() }
     }
 
-    /// Whether there are none.
-    pub fn is_empty(&self) -> bool {
-        self.parts.is_empty()
-    }
-
     /// What they do to a run along its motion, N x n \[Nm\].
     pub fn torque(&self, trial: &Trial, motion: &Motion) -> DMatrix<f64> {
         let (samples, joints) = (motion.samples(), motion.joints());
@@ -62,13 +58,20 @@ impl<'a> Acting<'a> {
     }
 
     /// Experiments without what they do.
-    pub fn taken_off(&self, trials: &[Trial]) -> Vec<Experiment> {
-        let without = |trial: &Trial| {
-            let mut experiment = trial.experiment.clone();
-            experiment.tau -= self.torque(trial, &experiment.motion);
+    pub fn taken_off<'e>(&self, trials: &[Trial<'e>]) -> Vec<Cow<'e, Experiment>> {
+        let without = |trial: &Trial<'e>| {
+            let mut experiment = Cow::Borrowed(trial.experiment);
+            if !self.is_empty() {
+                experiment.to_mut().tau -= self.torque(trial, &trial.experiment.motion);
+            }
             experiment
         };
         trials.iter().map(without).collect()
+    }
+
+    /// Whether there are none.
+    pub fn is_empty(&self) -> bool {
+        self.parts.is_empty()
     }
 }
 
@@ -76,7 +79,7 @@ impl<'a> Acting<'a> {
 /// of effects in one joint only an offset is tried.
 fn families(evidence: &Evidence) -> Vec<&'static Family> {
     let tried = |family: &Family| evidence.repeats() || family.place == Place::Arm || family.rare.in_every_arm;
-    FAMILIES.iter().copied().filter(|family| family.rare.comes_at_once && tried(family)).collect()
+    sudden().into_iter().filter(|family| tried(family)).collect()
 }
 
 /// Candidates that act from the begin of a run on, in one run alone, in `known` parts, and from every block of a motion that does not repeat on.
@@ -114,12 +117,9 @@ fn whole_folds(evidence: &Evidence, trials: &[Trial]) -> Vec<Span> {
 
 /// Where in its runs a part of the recording begins and ends; `None` for the whole.
 pub(super) fn acts(span: Span, trials: &[Trial]) -> Option<Acts> {
-    let inside = |time: f64| {
-        let run = trials.iter().rev().find(|trial| trial.start <= time)?;
-        Some((run.experiment.name.clone(), time - run.start))
-    };
-    let (run, from) = inside(span.from)?;
-    Some(Acts { run, from, to_end_of_recording: span.to == f64::INFINITY })
+    let run = trials.iter().rev().find(|trial| trial.start <= span.from)?;
+    let to_end_of_recording = span.to == f64::INFINITY;
+    Some(Acts { run: run.experiment.name.clone(), from: span.from - run.start, to_end_of_recording })
 }
 
 /// Whether any of these runs has samples in a part of the recording.

@@ -29,6 +29,7 @@ use plumbline_identify::{EstimateError, Experiment, solve};
 use plumbline_model::term::effect;
 use plumbline_model::term::effect::{OperatingPoint, Spec};
 use plumbline_model::{Parameter, Structure};
+use std::borrow::Cow;
 
 /// What is diagnosed.
 pub struct Input<'a> {
@@ -104,13 +105,20 @@ pub fn diagnose(input: &Input, settings: &Settings, progress: &dyn Fn(&Step)) ->
         (lacks, adequacy)
     };
     let acting = Acting::of(structure.chain(), &selected.state, operating_point);
-    let without = [input.identify, input.unseen()].map(|trials| acting.taken_off(trials));
-    let unseen_without = trials_of(&without[1], input.unseen());
+    let experiments = match acting.is_empty() {
+        true => experiments,
+        false => acting.taken_off(input.identify).into_iter().map(Cow::into_owned).collect(),
+    };
+    let [veto, judge] = [input.veto, input.judge].map(|trials| acting.taken_off(trials));
+    let identified = trials_of(experiments.iter(), input.identify);
+    let [veto, judge] = [(&veto, input.veto), (&judge, input.judge)]
+        .map(|(own, trials)| trials_of(own.iter().map(|one| &**one), trials));
+    let unseen_without = [&judge, &veto].into_iter().find(|runs| !runs.is_empty()).unwrap_or(&identified);
     let delivery = Delivery {
         input,
         unseen: &unseen,
-        unseen_without: &unseen_without,
-        experiments: &without[0],
+        unseen_without,
+        experiments: &experiments,
         acting: &acting,
         before: &before,
         seeds: &seeds,
@@ -133,10 +141,8 @@ pub fn diagnose(input: &Input, settings: &Settings, progress: &dyn Fn(&Step)) ->
     let curves = curves::of(&search, &base, left, &residuals);
     let compared = delivery.compared(&after);
     let independences = detectable::independences(&search, &base);
-    let all_unseen: Vec<Trial> = [input.veto, input.judge].concat();
-    let all_without = acting.taken_off(&all_unseen);
-    let (identified, all_without) = (trials_of(&without[0], input.identify), trials_of(&all_without, &all_unseen));
-    let disagreements = disagreements(structure.chain(), &evidence, &identified, &all_without, &after, settings.band);
+    let others = [veto.clone(), judge.clone()].concat();
+    let disagreements = disagreements(structure.chain(), &evidence, &identified, &others, &after, settings.band);
     let mut diagnosis = Diagnosis {
         verdict: verdict(&effects, residuals.is_empty() && disagreements.is_empty()),
         confirmation: Some(confirmation(&evidence)),
@@ -262,8 +268,8 @@ fn seeds(search: &Search, base: &State) -> Vec<Candidate> {
 }
 
 /// Other experiments of the same runs.
-fn trials_of<'a>(experiments: &'a [Experiment], trials: &[Trial]) -> Vec<Trial<'a>> {
-    experiments.iter().zip(trials).map(|(experiment, trial)| Trial { experiment, ..*trial }).collect()
+fn trials_of<'a>(experiments: impl Iterator<Item = &'a Experiment>, trials: &[Trial]) -> Vec<Trial<'a>> {
+    experiments.zip(trials).map(|(experiment, trial)| Trial { experiment, ..*trial }).collect()
 }
 
 fn confirmation(evidence: &Evidence) -> Confirmation {
@@ -452,9 +458,8 @@ fn residuals(
 }
 
 fn verdict(effects: &[Effect], complete: bool) -> Verdict {
-    let counts = |effect: &&Effect| effect.in_model || effect.acts.is_some();
-    let found = effects.iter().any(|effect| counts(&effect));
-    let rivals = effects.iter().filter(counts).any(|effect| !effect.alternatives.is_empty());
+    let found = effects.iter().any(Effect::counts);
+    let rivals = effects.iter().any(|effect| effect.counts() && !effect.alternatives.is_empty());
     match (found, !complete) {
         (false, false) => Verdict::NothingSignificant,
         (false, true) => Verdict::Unexplained,

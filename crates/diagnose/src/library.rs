@@ -3,7 +3,7 @@
 use super::evidence::{Evidence, Rows};
 use super::span::Span;
 use plumbline_core::parallel;
-use plumbline_model::term::effect::{Family, Form, OperatingPoint, Site, Spec, Stratum};
+use plumbline_model::term::effect::{FAMILIES, Family, Form, OperatingPoint, Site, Spec, Stratum};
 use plumbline_model::term::{Expected, Term};
 
 /// An effect that may be missing from the model.
@@ -112,7 +112,6 @@ pub fn library(
     span: Span,
     threads: usize,
 ) -> Vec<Candidate> {
-    let mut specs = Vec::new();
     // A law of another joint's motion fits much that has no name, and unknown noise does not tell the two apart.
     let plausible = |family: &Family, site: Site| match site {
         Site::Pair { row, cause } if family.rare.between_coupled && !evidence.repeats() => {
@@ -120,24 +119,34 @@ pub fn library(
         }
         _ => true,
     };
-    for family in families {
-        let sites = family.place.sites(operating_point.chain.len()).into_iter();
-        for site in sites.filter(|site| plausible(family, *site)) {
-            for form in family.forms {
-                specs.extend(grid(family, form, site));
-            }
-        }
-    }
+    let specs = specs(families, operating_point.chain.len(), plausible);
     parallel(&specs, threads, |spec| Candidate::sketch(evidence, operating_point, spec.clone(), span))
         .into_iter()
         .flatten()
         .collect()
 }
 
+/// Every form of families at every site of an arm that passes, at every start value of its settings.
+pub fn specs(families: &[&'static Family], joints: usize, passes: impl Fn(&Family, Site) -> bool) -> Vec<Spec> {
+    let mut specs = Vec::new();
+    for family in families {
+        for site in family.place.sites(joints).into_iter().filter(|site| passes(family, *site)) {
+            for form in family.forms {
+                specs.extend(grid(family, form, site));
+            }
+        }
+    }
+    specs
+}
+
+/// Families whose effects may come within a recording.
+pub fn sudden() -> Vec<&'static Family> {
+    FAMILIES.iter().copied().filter(|family| family.rare.comes_at_once).collect()
+}
+
 /// Families whose effects every period repeats.
 pub fn repeatable() -> Vec<&'static Family> {
-    let families = plumbline_model::term::effect::FAMILIES.iter().copied();
-    families.filter(|family| family.stratum == Stratum::Repeatable).collect()
+    FAMILIES.iter().copied().filter(|family| family.stratum == Stratum::Repeatable).collect()
 }
 
 /// The start values of a form's settings, every combination.

@@ -4,9 +4,7 @@ use super::ExciteError;
 use nalgebra::Vector3;
 use plumbline_core::{JointVec, MAX_JOINTS};
 use plumbline_model::term::Entry;
-use plumbline_model::term::effect::{InBodies, family};
 use plumbline_model::term::friction::SHARPNESS;
-use plumbline_model::term::payload;
 use plumbline_model::{Chain, LINK_COLUMNS, LinkParameters, TorqueModel, rnea};
 
 /// Nominal model: rigid body, friction, offsets and rotors of an arm.
@@ -34,14 +32,7 @@ impl Nominal {
         let mut nominal =
             Nominal { links: vec![LinkParameters::default(); structure.chain().len()], ..Nominal::default() };
         for (term, parameters) in model.terms() {
-            if let Some(spec) = term.spec() {
-                if let (true, Some(last)) = (in_last_link(spec.family), nominal.links.last_mut()) {
-                    for parameter in parameters {
-                        payload::slot(&parameter.column.name)
-                            .into_iter()
-                            .for_each(|slot| last[slot] += parameter.value);
-                    }
-                }
+            if term.spec().is_some() {
                 continue;
             }
             let entries = term.entries().unwrap_or_default();
@@ -60,15 +51,18 @@ impl Nominal {
                 *slot = parameter.value;
             }
         }
+        if let Some(last) = nominal.links.last_mut() {
+            last.iter_mut().zip(model.on_last_link()).for_each(|(own, payload)| *own += payload);
+        }
         Ok(nominal)
     }
 
     /// Effects of a model that [`Nominal::of`] omits: they are small against the torque limits.
     pub fn left_out(model: &TorqueModel) -> Vec<&'static str> {
         let mut ids: Vec<&str> = Vec::new();
-        for id in model.structure().terms().iter().filter_map(|term| term.spec()).map(|spec| spec.family) {
-            if !in_last_link(id) && !ids.contains(&id) {
-                ids.push(id);
+        for spec in model.structure().terms().iter().filter_map(|term| term.spec()) {
+            if !spec.is_on_last_link() && !ids.contains(&spec.family) {
+                ids.push(spec.family);
             }
         }
         ids
@@ -94,11 +88,6 @@ impl Nominal {
         }
         tau
     }
-}
-
-/// Whether an effect is a body on the last link.
-fn in_last_link(id: &str) -> bool {
-    family(id).is_some_and(|family| matches!(family.rare.in_bodies, InBodies::LastLink))
 }
 
 #[cfg(test)]

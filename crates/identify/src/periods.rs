@@ -1,6 +1,7 @@
 //! Mean period of a periodic run, and the scatter between the periods: the noise floor.
 
 use super::signal::spectral::Spectral;
+use super::signal::time_to_nearest;
 use nalgebra::DMatrix;
 use realfft::num_complex::Complex;
 
@@ -74,18 +75,9 @@ pub fn mean(values: &DMatrix<f64>, weights: &[f64], samples: usize) -> DMatrix<f
 /// blow in its accelerations. The end of the record adjoins its start, as the end of the mean does.
 pub fn weights(filled: &[bool], left_out: &[bool], samples: usize, dt: f64) -> Vec<f64> {
     let periods = left_out.len() / samples;
-    let rows = || 0..periods * samples;
-    let mut distance = vec![f64::INFINITY; rows().len()];
-    let mut near = |row: usize, since: &mut f64| {
-        *since = if left_out[row] { 0.0 } else { *since + dt };
-        distance[row] = distance[row].min(*since);
-    };
-    let mut since = f64::INFINITY;
-    rows().chain(rows()).for_each(|row| near(row, &mut since));
-    since = f64::INFINITY;
-    rows().chain(rows()).rev().for_each(|row| near(row, &mut since));
+    let times = time_to_nearest(periods * samples, dt, true, |row| left_out[row]);
     let quintic = |x: f64| x.powi(3) * (10.0 - 15.0 * x + 6.0 * x * x);
-    let mut weights: Vec<f64> = rows().map(|row| quintic((distance[row] / FADE_S).min(1.0))).collect();
+    let mut weights: Vec<f64> = times.into_iter().map(|time| quintic((time / FADE_S).min(1.0))).collect();
     for k in 0..samples {
         let own = || (0..periods).map(|p| p * samples + k);
         let measured: f64 = own().filter(|&row| !filled[row]).map(|row| weights[row]).sum();

@@ -5,10 +5,11 @@ use super::chain::Chain;
 use super::fast::closed::ClosedForm;
 use super::gravity::{Mounting, VERTICAL_TOLERANCE};
 pub use super::parameter::Parameter;
+use super::rnea::LinkParameters;
 use super::structure::{ModelError, Structure};
 use super::term::effect::{self, Setting, Site, Spec};
 use super::term::subset::Subset;
-use super::term::{self, Column, FixedTerm, Motion, Sample, Term, rigid_body};
+use super::term::{self, Column, FixedTerm, Motion, Sample, Term, payload, rigid_body};
 use nalgebra::{DMatrix, Vector3};
 use plumbline_core::{JointVec, Torque};
 use std::ops::Range;
@@ -177,6 +178,22 @@ impl TorqueModel {
             .map(|term| &**term)
             .zip(ranges.into_iter().map(|range| &self.parameters[range]))
             .collect()
+    }
+
+    /// Parameters of the bodies that effects put on the last link, about that link's frame; zero where there are none.
+    pub fn on_last_link(&self) -> LinkParameters {
+        let mut sum = LinkParameters::default();
+        for (term, parameters) in self.terms() {
+            if !term.spec().is_some_and(|spec| spec.is_on_last_link()) {
+                continue;
+            }
+            for parameter in parameters {
+                if let Some(slot) = payload::slot(&parameter.column.name) {
+                    sum[slot] += parameter.value;
+                }
+            }
+        }
+        sum
     }
 
     /// `beta`.

@@ -288,8 +288,7 @@ pub(super) fn error(of: &Diagnosis) -> Option<String> {
 
 /// Whether the delivered model has effects that the one before had not, or was identified without what acts in a part of the recording.
 pub(super) fn grown(of: &Diagnosis) -> bool {
-    let counts = |effect: &Effect| effect.in_model || effect.acts.is_some();
-    !of.after.validate_rms.is_empty() && of.effects.iter().any(counts)
+    !of.after.validate_rms.is_empty() && of.effects.iter().any(Effect::counts)
 }
 
 /// The joint whose error is farthest above its noise.

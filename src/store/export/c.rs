@@ -34,7 +34,7 @@ pub fn write(model: &TorqueModel) -> Exported {
     let mut program = Program::default();
     // A load that effects refer to is the rigid body's own, without a payload.
     let load = recursion(&mut program, chain.joints(), &links);
-    let payload = effects::payload_of(model);
+    let payload = model.on_last_link();
     let mut tau = load.clone();
     if payload != [0.0; LINK_COLUMNS] {
         if let Some(last) = links.last_mut() {

@@ -4,8 +4,8 @@ use super::emit::{Program, Value, expression};
 use plumbline_identify::consistency::Nearest;
 use plumbline_model::term::effect::{EffectError, Family, InBodies, InC, Inputs, Site, Spec};
 use plumbline_model::term::friction::SHARPNESS;
-use plumbline_model::term::{Entry, payload};
-use plumbline_model::{LINK_COLUMNS, LinkParameters, TorqueModel, is_consistent};
+use plumbline_model::term::Entry;
+use plumbline_model::{LinkParameters, TorqueModel, is_consistent};
 
 /// Notes on effects of a model that URDF and MJCF lack, or have a part of.
 pub(super) fn notes_of_bodies(model: &TorqueModel) -> Vec<String> {
@@ -60,25 +60,10 @@ pub(super) fn sliding_friction(model: &TorqueModel, joint: usize) -> f64 {
     own.flat_map(|(_, parameters)| parameters).map(|parameter| parameter.value).sum()
 }
 
-/// Parameters of what a model has on the last link, about that link's frame; zero where it has nothing.
-pub fn payload_of(model: &TorqueModel) -> LinkParameters {
-    let mut sum = [0.0; LINK_COLUMNS];
-    for (term, parameters) in model.terms() {
-        if term.spec().is_some_and(|spec| in_bodies(&spec) == Ok(InBodies::LastLink)) {
-            for parameter in parameters {
-                if let Some(slot) = payload::slot(&parameter.column.name) {
-                    sum[slot] += parameter.value;
-                }
-            }
-        }
-    }
-    sum
-}
-
 /// Bodies with the model's payload in the last one. The error is that link's parameters where they are no body's.
 pub fn with_payload(model: &TorqueModel, bodies: &Nearest) -> Result<Nearest, LinkParameters> {
     let mut bodies = bodies.clone();
-    let payload = payload_of(model);
+    let payload = model.on_last_link();
     if payload == LinkParameters::default() {
         return Ok(bodies);
     }

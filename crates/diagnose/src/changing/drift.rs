@@ -1,35 +1,16 @@
-//! What wanders through a recording, the zero of a torque sensor that warms up, friction that thins; and what comes at once ([`Step`]).
+//! What wanders through a recording: the zero of a torque sensor that warms up, friction that thins.
 //!
 //! A drift multiplies what the mean motion does by a course `g(t)`:
 //!
 //!   offset     `tau_j += a g(t)`
 //!   friction   `tau_j += g(t) (b tanh(100 dq_j) + c dq_j)`, or in all joints `tau_j += s g(t) (fc_j tanh(100 dq_j) + fv_j dq_j)`
 //!   course     `g = t` in minutes, or `g = 1 - exp(-t / T)`
-//!
-//! Both show in the deviations of the periods from their mean, the mean over the periods being taken off both sides. The base parameters
-//! have no part in them. Deviations are judged as spectra of whole runs: in each joint and band noise has one variance, which is
-//! estimated with the drift (profile likelihood), for noise at the lowest frequencies is stronger than that of single samples.
-//! Score, at least [`MIN_SCORE`]: twice the gain in log likelihood, less `k ln n` for `k` parameters and `2 ln N` for `N` candidates.
 
 use super::record::Record;
-use super::step::{self, Coming, Step};
-use nalgebra::{DMatrix, DVector};
+use nalgebra::DMatrix;
 use plumbline_model::term::effect::OperatingPoint;
 use plumbline_model::term::friction::SHARPNESS;
 use plumbline_model::term::{friction_drift, offset_drift};
-
-/// Upper edges of the bands \[Hz\].
-const BAND_EDGES_HZ: [f64; 8] = [0.3, 0.55, 1.05, 2.0, 4.0, 8.0, 16.0, f64::INFINITY];
-/// Highest frequency that counts \[Hz\].
-const MAX_FREQUENCY_HZ: f64 = 16.0;
-/// Time constants that the search starts from \[s\]; it stays between the first and the last.
-const START_TIME_CONSTANTS_S: [f64; 5] = [60.0, 100.0, 170.0, 290.0, 500.0];
-/// Least score: within a band slow noise is stronger at its lowest frequencies, where drifts and steps are.
-const MIN_SCORE: f64 = 10.0;
-/// Rounds of weights.
-const WEIGHT_ROUNDS: usize = 3;
-/// Evaluations of the search for a time constant.
-const MAX_EVALUATIONS: usize = 8;
 
 /// How a drift goes.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -52,7 +33,7 @@ impl Course {
         }
     }
 
-    fn settings(self) -> usize {
+    pub(super) fn settings(self) -> usize {
         usize::from(self != Course::Linear)
     }
 }
@@ -86,7 +67,7 @@ impl Drifting {
         }
     }
 
-    fn joints(self, n: usize) -> Vec<usize> {
+    pub(super) fn joints(self, n: usize) -> Vec<usize> {
         match self {
             Drifting::Offset(joint) | Drifting::Friction(joint) => vec![joint],
             Drifting::AllFriction => (0..n).collect(),
@@ -94,9 +75,42 @@ impl Drifting {
     }
 
     /// Whether both can't stand side by side.
-    fn excludes(self, other: Drifting) -> bool {
+    pub(super) fn excludes(self, other: Drifting) -> bool {
         self.family() == other.family()
             && (self == other || self == Drifting::AllFriction || other == Drifting::AllFriction)
+    }
+
+    /// What its course multiplies in a joint, over one period.
+    pub(super) fn shapes(self, joint: usize, record: &Record, operating_point: &OperatingPoint) -> Vec<Vec<f64>> {
+        let dq = record.motion.dq.column(joint);
+        let sign = || dq.iter().map(|dq| (SHARPNESS * dq).tanh());
+        match self {
+            Drifting::Offset(_) => vec![vec![1.0; record.samples]],
+            Drifting::Friction(_) => vec![sign().collect(), dq.iter().copied().collect()],
+            Drifting::AllFriction => {
+                let [fv, fc] = operating_point.friction[joint];
+                vec![sign().zip(dq.iter()).map(|(sign, dq)| fc * sign + fv * dq).collect()]
+            }
+        }
+    }
+
+    /// What it does to a run with these parameters, P N x n \[Nm\]; the mean over the periods is not taken off.
+    pub(super) fn torque(
+        self,
+        course: Course,
+        values: &[f64],
+        record: &Record,
+        operating_point: &OperatingPoint,
+    ) -> DMatrix<f64> {
+        let mut tau = DMatrix::zeros(record.tau.nrows(), record.joints());
+        for joint in self.joints(record.joints()) {
+            for (shape, value) in self.shapes(joint, record, operating_point).iter().zip(values) {
+                for row in 0..tau.nrows() {
+                    tau[(row, joint)] += value * shape[row % record.samples] * course.at(record.time(row));
+                }
+            }
+        }
+        tau
     }
 }
 
@@ -121,439 +135,4 @@ pub struct Drift {
     pub explained: f64,
     /// RMS of what it does about the mean of the periods, per joint, over all runs \[Nm\].
     pub rms: Vec<f64>,
-}
-
-/// Coefficients of deviations, one vector per run, for one joint.
-type Rows = Vec<Vec<f64>>;
-
-/// What is under test.
-#[derive(Clone, Copy, Debug, PartialEq)]
-enum What {
-    Drift(Drifting, Course),
-    /// The index of what comes, and the row of its run at which it does.
-    Step(usize, usize),
-}
-
-/// A drift or a step under test.
-#[derive(Clone)]
-struct Trial {
-    what: What,
-    /// Number of parameters of one set.
-    width: usize,
-    /// Whether all runs have the same parameters.
-    common: bool,
-    /// Columns of each joint that it touches: joint, then run, then column; none in a run that it does not touch.
-    columns: Vec<(usize, Vec<Vec<Vec<f64>>>)>,
-}
-
-/// What differs between the periods and is no event.
-#[derive(Clone, Debug, Default)]
-pub(super) struct Courses {
-    /// Drifts, in the order in which they were found.
-    pub drifts: Vec<Drift>,
-    /// Steps, alike.
-    pub steps: Vec<Step>,
-}
-
-struct Fitted {
-    theta: DVector<f64>,
-    covariance: DMatrix<f64>,
-    evidence: f64,
-    explained: f64,
-}
-
-/// The runs, and what their deviations are in the band.
-pub(super) struct Deviations<'a> {
-    records: &'a [Record<'a>],
-    operating_point: &'a OperatingPoint,
-    /// Band of each coefficient, run by run.
-    bands: Vec<Vec<usize>>,
-    /// Independent numbers in a coefficient of each joint, run by run.
-    freedom: Vec<Vec<f64>>,
-    /// Per joint.
-    rows: Vec<Rows>,
-}
-
-impl Deviations<'_> {
-    /// Of these runs.
-    pub fn of<'a>(records: &'a [Record<'a>], operating_point: &'a OperatingPoint) -> Deviations<'a> {
-        let joints = records.first().map_or(0, Record::joints);
-        let bands = records.iter().map(bands).collect();
-        let rows = |joint| {
-            records.iter().map(|record| record.coefficients(joint, &record.centred(joint), highest(record))).collect()
-        };
-        let freedom = |record: &Record| (0..joints).map(|joint| record.freedom(joint)).collect();
-        let freedom = records.iter().map(freedom).collect();
-        Deviations { records, operating_point, bands, freedom, rows: (0..joints).map(rows).collect() }
-    }
-
-    /// Drifts and steps that pay for themselves.
-    pub fn courses(&self) -> Courses {
-        if self.records.is_empty() {
-            return Courses::default();
-        }
-        let drifts = self.candidates();
-        let coming = step::coming(self.records, self.operating_point);
-        // A step may come at every second.
-        let seconds = |one: &Coming| self.records[one.run].tau.nrows() as f64 * self.records[one.run].dt;
-        let count = drifts.len() + coming.iter().map(seconds).sum::<f64>() as usize;
-        let mut taken: Vec<(Trial, Fitted, f64)> = Vec::new();
-        let mut rest = self.rows.clone();
-        // Each kind of drift once in each joint is the most there can be.
-        for _ in 0..2 * self.rows.len() {
-            let steps = self.steps(&coming, &taken);
-            let open = |trial: &&Trial| !taken.iter().any(|(other, _, _)| excludes(&coming, other.what, trial.what));
-            let scored = drifts.iter().chain(&steps).filter(open).filter_map(|trial| {
-                let fitted = self.fit(trial, &rest)?;
-                let score = self.score(trial, &fitted, count);
-                Some((trial, fitted, score))
-            });
-            let Some((trial, fitted, score)) = scored.max_by(|a, b| a.2.total_cmp(&b.2)) else { break };
-            let best = self.refined((trial.clone(), fitted, score), &rest, count);
-            if best.2 <= MIN_SCORE {
-                break;
-            }
-            taken.push(best);
-            // Each once more beside all others.
-            for k in 0..taken.len() {
-                rest = self.without(taken.iter().enumerate().filter(|(other, _)| *other != k).map(|(_, one)| one));
-                let trial = taken[k].0.clone();
-                if let Some(fitted) = self.fit(&trial, &rest) {
-                    let score = self.score(&trial, &fitted, count);
-                    taken[k] = (trial, fitted, score);
-                }
-            }
-            taken.retain(|(_, _, score)| *score > MIN_SCORE);
-            rest = self.without(taken.iter());
-        }
-        let mut found = Courses::default();
-        for (trial, fitted, score) in taken {
-            match trial.what {
-                What::Drift(what, course) => found.drifts.push(self.report(&trial, (what, course), fitted, score)),
-                What::Step(which, row) => found.steps.push(self.report_step(&coming[which], row, &fitted, score)),
-            }
-        }
-        found
-    }
-
-    /// What comes, each at the time at which it explains most of what is left over beside `taken`.
-    fn steps(&self, coming: &[Coming], taken: &[(Trial, Fitted, f64)]) -> Vec<Trial> {
-        let mut rest: Vec<Vec<Vec<f64>>> = Vec::new();
-        for (run, record) in self.records.iter().enumerate() {
-            let mut known = DMatrix::zeros(record.tau.nrows(), record.joints());
-            for (trial, fitted, _) in taken {
-                known += match trial.what {
-                    What::Drift(what, course) => self.drifting(run, what, course, self.values(trial, fitted, run)),
-                    What::Step(which, row) if coming[which].run == run => {
-                        coming[which].torque(record, row, fitted.theta.as_slice())
-                    }
-                    What::Step(..) => continue,
-                };
-            }
-            let of_joint = |joint: usize| {
-                let mut x: Vec<f64> = (record.tau.column(joint) - known.column(joint)).iter().copied().collect();
-                record.centre(&mut x);
-                x
-            };
-            rest.push((0..record.joints()).map(of_joint).collect());
-        }
-        let weight = |x: &Vec<f64>| x.len() as f64 / x.iter().map(|value| value * value).sum::<f64>().max(1e-12);
-        let weights: Vec<Vec<f64>> = rest.iter().map(|run| run.iter().map(weight).collect()).collect();
-        let rows = step::times(coming, self.records, &rest, &weights);
-        let trial = |(which, row): (usize, Option<usize>)| Some(self.step(which, &coming[which], row?));
-        rows.into_iter().enumerate().filter_map(trial).collect()
-    }
-
-    fn step(&self, which: usize, coming: &Coming, row: usize) -> Trial {
-        let of_joint = |(joint, columns): (usize, Vec<Vec<f64>>)| {
-            let mut runs = vec![Vec::new(); self.records.len()];
-            let record = &self.records[coming.run];
-            let centred = |mut column: Vec<f64>| {
-                record.centre(&mut column);
-                record.coefficients(joint, &column, highest(record))
-            };
-            runs[coming.run] = columns.into_iter().map(centred).collect();
-            (joint, runs)
-        };
-        let columns = coming.since(&self.records[coming.run], row).into_iter().map(of_joint).collect();
-        Trial { what: What::Step(which, row), width: coming.width, common: true, columns }
-    }
-
-    /// Parameters of a drift in a run.
-    fn values<'b>(&self, trial: &Trial, fitted: &'b Fitted, run: usize) -> &'b [f64] {
-        let first = if trial.common { 0 } else { run * trial.width };
-        &fitted.theta.as_slice()[first..first + trial.width]
-    }
-
-    /// What was found does to a run, P N x n at its grid \[Nm\]; the mean over the periods is not taken off.
-    pub fn torque(&self, run: usize, found: &Courses) -> DMatrix<f64> {
-        let record = &self.records[run];
-        let mut tau = DMatrix::zeros(record.tau.nrows(), record.joints());
-        for drift in &found.drifts {
-            tau += self.drifting(run, drift.what, drift.course, &drift.values[if drift.common { 0 } else { run }]);
-        }
-        for step in found.steps.iter().filter(|step| step.run == record.experiment.name) {
-            tau += &step.torque;
-        }
-        tau
-    }
-
-    fn drifting(&self, run: usize, what: Drifting, course: Course, values: &[f64]) -> DMatrix<f64> {
-        let record = &self.records[run];
-        let mut tau = DMatrix::zeros(record.tau.nrows(), record.joints());
-        for joint in what.joints(record.joints()) {
-            for (shape, value) in self.shapes(what, joint, record).iter().zip(values) {
-                for row in 0..tau.nrows() {
-                    tau[(row, joint)] += value * shape[row % record.samples] * course.at(record.time(row));
-                }
-            }
-        }
-        tau
-    }
-
-    fn candidates(&self) -> Vec<Trial> {
-        let joints = self.rows.len();
-        let courses: Vec<Course> = [Course::Linear]
-            .into_iter()
-            .chain(START_TIME_CONSTANTS_S.map(|time| Course::Saturating { time }))
-            .collect();
-        let mut what: Vec<Drifting> = (0..joints).flat_map(|j| [Drifting::Offset(j), Drifting::Friction(j)]).collect();
-        if self.operating_point.friction.len() == joints {
-            what.push(Drifting::AllFriction);
-        }
-        let mut trials = Vec::new();
-        for what in what {
-            for &course in &courses {
-                let own = self.trial(what, course, true);
-                if self.records.len() > 1 {
-                    trials.push(Trial { common: false, ..own.clone() });
-                }
-                trials.push(own);
-            }
-        }
-        trials
-    }
-
-    fn trial(&self, what: Drifting, course: Course, common: bool) -> Trial {
-        let columns = |joint: usize, record: &Record| -> Vec<Vec<f64>> {
-            let column = |shape: &Vec<f64>| {
-                let at = |row: usize| shape[row % record.samples] * course.at(record.time(row));
-                let mut x: Vec<f64> = (0..record.tau.nrows()).map(at).collect();
-                record.centre(&mut x);
-                record.coefficients(joint, &x, highest(record))
-            };
-            self.shapes(what, joint, record).iter().map(column).collect()
-        };
-        let of_joint = |joint| (joint, self.records.iter().map(|record| columns(joint, record)).collect());
-        let columns = what.joints(self.rows.len()).into_iter().map(of_joint).collect();
-        Trial { what: What::Drift(what, course), width: what.parameters().len(), common, columns }
-    }
-
-    /// What a course multiplies, over one period.
-    fn shapes(&self, what: Drifting, joint: usize, record: &Record) -> Vec<Vec<f64>> {
-        let dq = record.motion.dq.column(joint);
-        let sign = || dq.iter().map(|dq| (SHARPNESS * dq).tanh());
-        match what {
-            Drifting::Offset(_) => vec![vec![1.0; record.samples]],
-            Drifting::Friction(_) => vec![sign().collect(), dq.iter().copied().collect()],
-            Drifting::AllFriction => {
-                let [fv, fc] = self.operating_point.friction[joint];
-                vec![sign().zip(dq.iter()).map(|(sign, dq)| fc * sign + fv * dq).collect()]
-            }
-        }
-    }
-
-    /// Squares of a joint's coefficients in each band, with how many independent ones there are.
-    fn squares(&self, joint: usize, rows: &Rows) -> [(f64, f64); BAND_EDGES_HZ.len()] {
-        let mut sums = [(0.0, 0.0); BAND_EDGES_HZ.len()];
-        for ((values, bands), freedom) in rows.iter().zip(&self.bands).zip(&self.freedom) {
-            let free = freedom[joint];
-            for (value, &band) in values.iter().zip(bands) {
-                sums[band] = (sums[band].0 + value * value, sums[band].1 + free);
-            }
-        }
-        sums
-    }
-
-    fn fit(&self, trial: &Trial, rows: &[Rows]) -> Option<Fitted> {
-        let width = trial.width;
-        let sets = if trial.common { 1 } else { self.records.len() };
-        let before: Vec<_> = trial.columns.iter().map(|(joint, _)| self.squares(*joint, &rows[*joint])).collect();
-        let mut after = before.clone();
-        let (mut theta, mut covariance) = (DVector::zeros(width * sets), DMatrix::zeros(width * sets, width * sets));
-        for _ in 0..WEIGHT_ROUNDS {
-            let (mut g, mut b) = (DMatrix::zeros(width * sets, width * sets), DVector::zeros(width * sets));
-            for ((joint, columns), squares) in trial.columns.iter().zip(&after) {
-                let weights = squares.map(|(square, count)| if square > 0.0 { count / square } else { 0.0 });
-                for (run, own) in columns.iter().enumerate() {
-                    let first = if trial.common { 0 } else { run * width };
-                    for (i, left) in own.iter().enumerate() {
-                        let weighed = || left.iter().zip(&self.bands[run]).map(|(value, &band)| weights[band] * value);
-                        b[first + i] += weighed().zip(&rows[*joint][run]).map(|(c, r)| c * r).sum::<f64>();
-                        for (k, right) in own.iter().enumerate() {
-                            g[(first + i, first + k)] += weighed().zip(right).map(|(a, c)| a * c).sum::<f64>();
-                        }
-                    }
-                }
-            }
-            covariance = g.cholesky()?.inverse();
-            theta = &covariance * b;
-            for ((joint, columns), squares) in trial.columns.iter().zip(&mut after) {
-                *squares = self.squares(*joint, &less(&rows[*joint], columns, &theta, trial.common));
-            }
-        }
-        let mut evidence = 0.0;
-        let (mut square_before, mut square_after) = (0.0, 0.0);
-        for ((before, count), (after, _)) in before.iter().flatten().zip(after.iter().flatten()) {
-            if *before > 0.0 {
-                evidence += count * (before / after.max(1e-12 * before)).ln();
-            }
-            (square_before, square_after) = (square_before + before, square_after + after);
-        }
-        Some(Fitted {
-            theta,
-            covariance,
-            evidence,
-            explained: 1.0 - square_after / square_before.max(f64::MIN_POSITIVE),
-        })
-    }
-
-    fn score(&self, trial: &Trial, fitted: &Fitted, candidates: usize) -> f64 {
-        let rows: f64 = self.squares(0, &self.rows[0]).iter().map(|(_, count)| count).sum();
-        let parameters = (fitted.theta.len() + trial.what.settings()) as f64;
-        fitted.evidence - parameters * rows.ln() - 2.0 * (candidates as f64).ln()
-    }
-
-    /// The time constant where the likelihood is largest, near where it is.
-    fn refined(&self, best: (Trial, Fitted, f64), rows: &[Rows], candidates: usize) -> (Trial, Fitted, f64) {
-        let What::Drift(what, Course::Saturating { time }) = best.0.what else { return best };
-        let limit =
-            |time: f64| time.clamp(START_TIME_CONSTANTS_S[0], START_TIME_CONSTANTS_S[START_TIME_CONSTANTS_S.len() - 1]);
-        let (mut low, mut high) = (limit(time / 1.7).ln(), limit(time * 1.7).ln());
-        let mut best = best;
-        let ratio = (5.0_f64.sqrt() - 1.0) / 2.0;
-        let mut at = |log: f64| {
-            let trial = self.trial(what, Course::Saturating { time: log.exp() }, best.0.common);
-            let Some(fitted) = self.fit(&trial, rows) else { return f64::NEG_INFINITY };
-            let score = self.score(&trial, &fitted, candidates);
-            if score > best.2 {
-                best = (trial, fitted, score);
-            }
-            score
-        };
-        for _ in 0..MAX_EVALUATIONS / 2 {
-            let (left, right) = (high - ratio * (high - low), low + ratio * (high - low));
-            if at(left) > at(right) { high = right } else { low = left }
-        }
-        best
-    }
-
-    fn without<'b>(&self, taken: impl Iterator<Item = &'b (Trial, Fitted, f64)>) -> Vec<Rows> {
-        let mut rest = self.rows.clone();
-        for (trial, fitted, _) in taken {
-            for (joint, columns) in &trial.columns {
-                rest[*joint] = less(&rest[*joint], columns, &fitted.theta, trial.common);
-            }
-        }
-        rest
-    }
-
-    fn report(&self, trial: &Trial, (what, course): (Drifting, Course), fitted: Fitted, score: f64) -> Drift {
-        let std: Vec<f64> = fitted.covariance.diagonal().iter().map(|variance| variance.sqrt()).collect();
-        let sets = |values: &[f64]| values.chunks(trial.width).map(<[f64]>::to_vec).collect();
-        let (mut squares, mut rows) = (vec![0.0; self.rows.len()], 0);
-        for (run, record) in self.records.iter().enumerate() {
-            let tau = self.drifting(run, what, course, self.values(trial, &fitted, run));
-            rows += tau.nrows();
-            squares.iter_mut().zip(squares_about_mean(record, &tau)).for_each(|(sum, square)| *sum += square);
-        }
-        Drift {
-            what,
-            course,
-            common: trial.common,
-            values: sets(fitted.theta.as_slice()),
-            std: sets(&std),
-            evidence: fitted.evidence,
-            score,
-            explained: fitted.explained,
-            rms: squares.iter().map(|square| (square / rows.max(1) as f64).sqrt()).collect(),
-        }
-    }
-
-    fn report_step(&self, coming: &Coming, row: usize, fitted: &Fitted, score: f64) -> Step {
-        let record = &self.records[coming.run];
-        let torque = coming.torque(record, row, fitted.theta.as_slice());
-        let rms = |square: f64| (square / torque.nrows() as f64).sqrt();
-        Step {
-            run: record.experiment.name.clone(),
-            time: record.time(row),
-            spec: coming.spec.clone(),
-            evidence: fitted.evidence,
-            score,
-            rms: squares_about_mean(record, &torque).into_iter().map(rms).collect(),
-            torque,
-            periods: record.repeats.periods.clone(),
-        }
-    }
-}
-
-impl What {
-    /// Number of nonlinear parameters.
-    fn settings(self) -> usize {
-        match self {
-            What::Drift(_, course) => course.settings(),
-            What::Step(..) => 1,
-        }
-    }
-}
-
-/// Whether both can't stand side by side.
-fn excludes(coming: &[Coming], one: What, other: What) -> bool {
-    match (one, other) {
-        (What::Drift(one, _), What::Drift(other, _)) => one.excludes(other),
-        // The same may come and go, at another time.
-        (What::Step(one, row), What::Step(other, other_row)) => {
-            let (one, other) = (&coming[one], &coming[other]);
-            let same = (one.run, one.spec.family, one.spec.site) == (other.run, other.spec.family, other.spec.site);
-            same && row.abs_diff(other_row) < step::MIN_ROWS_APART
-        }
-        _ => false,
-    }
-}
-
-/// Squares of a torque about its mean over the periods, per joint.
-fn squares_about_mean(record: &Record, tau: &DMatrix<f64>) -> Vec<f64> {
-    let square = |column: nalgebra::DVectorView<f64>| {
-        let mut x: Vec<f64> = column.iter().copied().collect();
-        record.centre(&mut x);
-        x.iter().map(|value| value * value).sum()
-    };
-    tau.column_iter().map(square).collect()
-}
-
-/// Rows less the columns times their parameters.
-fn less(rows: &Rows, columns: &[Vec<Vec<f64>>], theta: &DVector<f64>, common: bool) -> Rows {
-    let mut rest = rows.clone();
-    for (run, own) in columns.iter().enumerate() {
-        let first = if common { 0 } else { run * own.len() };
-        for (i, column) in own.iter().enumerate() {
-            for (value, c) in rest[run].iter_mut().zip(column) {
-                *value -= theta[first + i] * c;
-            }
-        }
-    }
-    rest
-}
-
-fn highest(record: &Record) -> f64 {
-    MAX_FREQUENCY_HZ.min(0.4 / record.dt)
-}
-
-/// Band of each coefficient.
-fn bands(record: &Record) -> Vec<usize> {
-    let x = vec![0.0; record.tau.nrows()];
-    let frequency = |row: usize| row as f64 / (2.0 * x.len() as f64 * record.dt);
-    let band =
-        |row: usize| BAND_EDGES_HZ.iter().position(|edge| frequency(row) <= *edge).unwrap_or(BAND_EDGES_HZ.len() - 1);
-    (0..record.coefficients(0, &x, highest(record)).len()).map(band).collect()
 }

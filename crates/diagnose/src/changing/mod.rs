@@ -6,6 +6,7 @@
 
 mod base_motion;
 mod contact;
+mod courses;
 mod drift;
 mod effects;
 mod outlier;
@@ -21,7 +22,7 @@ pub use step::Step;
 
 use super::evidence::Trial;
 use super::span::Span;
-use drift::{Courses, Deviations};
+use courses::{Courses, Deviations};
 use nalgebra::DMatrix;
 use plumbline_core::{parallel, threads};
 use plumbline_identify::signal::spectral::Spectral;
@@ -124,15 +125,15 @@ pub fn changing(operating_point: &OperatingPoint, trials: &[Trial]) -> Changing 
         }
         courses = Deviations::of(&records, operating_point).courses();
     }
-    let deviations = Deviations::of(&records, operating_point);
+    let torques = records.iter().enumerate().map(|(run, record)| courses.torque(run, record, operating_point));
+    let torques: Vec<DMatrix<f64>> = torques.collect();
     let mut masks = Vec::new();
-    for (run, record) in records.iter().enumerate() {
-        let course = deviations.torque(run, &courses);
+    for (record, course) in records.iter().zip(&torques) {
         if record.periods() < LEAST_PERIODS {
             masks.push(vec![false; record.tau.nrows()]);
             continue;
         }
-        let mut rest = &record.tau - &course;
+        let mut rest = &record.tau - course;
         let rows = rest.nrows();
         rest.as_mut_slice().chunks_mut(rows).for_each(|column| record.centre(column));
         let lines = base_motion::base_motions(record, &operating_point.load, &rest);
@@ -159,8 +160,7 @@ pub fn changing(operating_point: &OperatingPoint, trials: &[Trial]) -> Changing 
         match record {
             Some(record) => {
                 let full: Vec<bool> = masks[of_run].iter().flat_map(|&masked| vec![masked; record.step]).collect();
-                let known = deviations.torque(of_run, &courses);
-                found.scatter.push(Some(scatter(record, &known, &record.without(&masks[of_run]))));
+                found.scatter.push(Some(scatter(record, &torques[of_run], &record.without(&masks[of_run]))));
                 of_run += 1;
                 looks.push((trial.experiment, full));
             }
@@ -191,14 +191,13 @@ pub fn changing(operating_point: &OperatingPoint, trials: &[Trial]) -> Changing 
 
 /// Masks the events that are left without the courses; whether that changed anything.
 fn mask(records: &mut [Record], operating_point: &OperatingPoint, courses: &Courses) -> bool {
-    let deviations = Deviations::of(records, operating_point);
     let runs: Vec<usize> = (0..records.len()).collect();
     let masks = parallel(&runs, threads(), |&run| {
         let record = &records[run];
         if record.periods() < LEAST_PERIODS {
             return record.masked.clone();
         }
-        let x = transient::robust(record, Some(&deviations.torque(run, courses)), true);
+        let x = transient::robust(record, Some(&courses.torque(run, record, operating_point)), true);
         record.without(&transient::mask(record, &transient::events(record, &x), EVENT_MARGIN_S))
     });
     let mut changed = false;

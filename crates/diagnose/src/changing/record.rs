@@ -2,6 +2,7 @@
 
 use crate::fold::Cosines;
 use nalgebra::DMatrix;
+use plumbline_identify::signal::time_to_nearest;
 use plumbline_identify::{Experiment, Repeats};
 use plumbline_model::term::Motion;
 
@@ -112,9 +113,15 @@ impl Record<'_> {
     /// before samples that don't count: slow noise that is cut off has all frequencies.
     pub fn coefficients(&self, joint: usize, x: &[f64], highest: f64) -> Vec<f64> {
         let faded: Vec<f64> = x.iter().zip(&self.fades[joint]).map(|(x, weight)| x * weight).collect();
-        let mut rows = vec![0.0; ((2.0 * highest * x.len() as f64 * self.dt) as usize + 1).min(x.len())];
+        let mut rows = vec![0.0; self.coefficient_count(highest)];
         self.cosines.transform(&faded, &mut rows);
         rows
+    }
+
+    /// Number of the coefficients up to a frequency \[Hz\].
+    pub fn coefficient_count(&self, highest: f64) -> usize {
+        let rows = self.tau.nrows();
+        ((2.0 * highest * rows as f64 * self.dt) as usize + 1).min(rows)
     }
 
     /// Independent numbers in one coefficient of the deviations: less than one by what the mean over the periods and the fades take.
@@ -171,17 +178,8 @@ fn standing(motion: &Motion) -> Vec<Vec<bool>> {
 
 /// Weights of samples, 0 where they are out, 1 far from there, with a smooth rise between.
 fn fade(rows: usize, dt: f64, out: impl Fn(usize) -> bool) -> Vec<f64> {
-    let mut distance = vec![f64::INFINITY; rows];
-    let mut near = |row: usize, since: &mut f64| {
-        *since = if out(row) { 0.0 } else { *since + dt };
-        distance[row] = distance[row].min(*since);
-    };
-    let mut since = f64::INFINITY;
-    (0..rows).for_each(|row| near(row, &mut since));
-    since = f64::INFINITY;
-    (0..rows).rev().for_each(|row| near(row, &mut since));
     let smooth = |x: f64| x * x * (3.0 - 2.0 * x);
-    distance.into_iter().map(|time| smooth((time / FADE_S).min(1.0))).collect()
+    time_to_nearest(rows, dt, false, out).into_iter().map(|time| smooth((time / FADE_S).min(1.0))).collect()
 }
 
 /// Every period minus the median of all, P N.

@@ -5,10 +5,11 @@
 //! `Y` are the columns of an effect that may come suddenly, along the mean motion, and `t0` is the time at which the likelihood is largest.
 
 use super::record::Record;
+use crate::library::{specs, sudden};
 use nalgebra::{DMatrix, DVector};
 use plumbline_core::parallel;
 use plumbline_identify::Repeats;
-use plumbline_model::term::effect::{FAMILIES, Form, OperatingPoint, Spec};
+use plumbline_model::term::effect::{OperatingPoint, Spec};
 
 /// A step is sought no nearer to the ends of a run \[s\].
 const MARGIN_S: f64 = 0.5;
@@ -34,7 +35,7 @@ pub struct Step {
     pub score: f64,
     /// RMS of what it does about the mean of the periods, per joint, in its run \[Nm\].
     pub rms: Vec<f64>,
-    /// What it does about the mean of the periods, P N x n at the grid of the run's record \[Nm\].
+    /// What it does, P N x n at the grid of the run's record; the mean over the periods is not taken off \[Nm\].
     pub(super) torque: DMatrix<f64>,
     /// Indices of these periods in the recording, P.
     pub(super) periods: Vec<usize>,
@@ -69,13 +70,8 @@ pub(super) struct Coming {
 
 /// Every effect that may come suddenly, at every site, in every run.
 pub(super) fn coming(records: &[Record], operating_point: &OperatingPoint) -> Vec<Coming> {
-    let families = FAMILIES.iter().filter(|family| family.rare.comes_at_once);
-    let specs = families.flat_map(|family| {
-        let spec = |site, form: &Form| Spec { family: family.id, form: form.name, site, settings: Vec::new() };
-        let sites = family.place.sites(operating_point.chain.len()).into_iter();
-        sites.flat_map(move |site| family.forms.iter().map(move |form| spec(site, form)))
-    });
-    let each = specs.flat_map(|spec| (0..records.len()).map(move |run| (run, spec.clone())));
+    let specs = specs(&sudden(), operating_point.chain.len(), |_, _| true);
+    let each = specs.iter().flat_map(|spec| (0..records.len()).map(move |run| (run, spec.clone())));
     each.filter_map(|(run, spec)| Coming::of(run, &records[run], spec, operating_point)).collect()
 }
 

@@ -173,6 +173,11 @@ impl Effect {
         }
     }
 
+    /// Whether the delivered model has it, or was identified without what it does in a part of the recording.
+    pub fn counts(&self) -> bool {
+        self.in_model || self.acts.is_some()
+    }
+
     /// Identity and joints: `presliding in joint 4`.
     pub fn place(&self) -> String {
         let place = match self.joints[..] {

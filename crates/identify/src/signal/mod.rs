@@ -27,6 +27,20 @@ pub enum SignalError {
     Step { dt: f64 },
 }
 
+/// Time from each of `rows` rows, `dt` apart \[s\], to the nearest one that is out; infinite where none is. With `wraps` the first row follows the last.
+pub fn time_to_nearest(rows: usize, dt: f64, wraps: bool, out: impl Fn(usize) -> bool) -> Vec<f64> {
+    let mut times = vec![f64::INFINITY; rows];
+    let turns = if wraps { 2 } else { 1 };
+    for backwards in [false, true] {
+        let mut since = f64::INFINITY;
+        for row in (0..turns * rows).map(|k| if backwards { rows - 1 - k % rows } else { k % rows }) {
+            since = if out(row) { 0.0 } else { since + dt };
+            times[row] = times[row].min(since);
+        }
+    }
+    times
+}
+
 /// Decimation factor: `n_d = 2 pi 0.8 f_m / omega_fp` with `omega_fp = 2 pi f_fp` (paper eq. 16), at least 1.
 ///
 /// `rate` is the measurement frequency `f_m` and `passband` the `f_fp` of the rule, twice the highest frequency of interest or
