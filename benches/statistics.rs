@@ -8,7 +8,7 @@
 use plumbline_identify::solve::{Estimator, Identification, Options, identify_with};
 use plumbline_identify::{Derivative, Experiment, Method, Run, Settings};
 use plumbline_testkit::scene::campaign::Campaign;
-use plumbline_testkit::scene::{Extra, Scene};
+use plumbline_testkit::scene::{Coloured, Extra, Scene};
 use std::time::Instant;
 
 const PERIODS: usize = 10;
@@ -110,7 +110,11 @@ fn estimators(scene: &Scene, runs: usize, parts: &[String]) {
     let wide = Settings { torque_cutoff: 15.0, position_cutoff: Some(15.0), ..Settings::default() };
     let data = [
         ("as the arm's sensors are", Extra::default(), Settings::default()),
-        ("and coloured noise of 0.1 Nm", Extra { coloured: 0.1, ..Extra::default() }, Settings::default()),
+        (
+            "and coloured noise of 0.1 Nm",
+            Extra { coloured: Coloured::of(0.1), ..Extra::default() },
+            Settings::default(),
+        ),
         ("and 0.1 % of samples off by 20 sigma", Extra { outliers: 1e-3, ..Extra::default() }, Settings::default()),
         ("and position noise of 1 mrad, filters at 15 Hz", Extra { position: 1e-3, ..Extra::default() }, wide),
     ];
@@ -129,7 +133,7 @@ fn estimators(scene: &Scene, runs: usize, parts: &[String]) {
 /// Records that do not repeat, as far as the estimator knows.
 fn aperiodic(scene: &Scene, runs: usize) {
     println!("\n{runs} runs of 60 s as if nothing repeated, weighted least squares\nnoise | {HEAD}");
-    for (name, coloured) in [("white", 0.0), ("and coloured of 0.1 Nm", 0.1)] {
+    for (name, coloured) in [("white", Coloured::default()), ("and coloured of 0.1 Nm", Coloured::of(0.1))] {
         let bound = scene.bound_coloured(6, coloured);
         let of = Campaign::of(scene, runs, &bound, |seed| {
             let mut run = scene.record_with(6, seed, Extra { coloured, ..Extra::default() });

@@ -5,7 +5,7 @@ use plumbline::store::{ModelFile, Provenance, uncertainty_of};
 use plumbline_core::{parallel, threads};
 use plumbline_identify::{Experiment, Settings, TorqueUncertainty, solve};
 use plumbline_model::{Robot, TorqueModel};
-use plumbline_testkit::scene::{Extra, Scene};
+use plumbline_testkit::scene::{Coloured, Extra, Scene};
 
 /// Recordings, each with the noise of its own seed.
 const SEEDS: u64 = 32;
@@ -31,7 +31,7 @@ fn the_covariance_of_a_model_file_gives_the_error_of_its_torques() {
     let regressor = scene.structure.regressor(&scene.unseen());
     let truth = &regressor * DVector::from_column_slice(&scene.beta);
     for coloured in [0.0, 0.1] {
-        let extra = Extra { coloured, ..Extra::default() };
+        let extra = Extra { coloured: Coloured::of(coloured), ..Extra::default() };
         let seeds: Vec<u64> = (0..SEEDS).collect();
         let coverages: Vec<f64> = parallel(&seeds, threads(), |&seed| {
             let (beta, uncertainty) = stored(&scene, seed, extra);

@@ -83,19 +83,33 @@ fn families(evidence: &Evidence) -> Vec<&'static Family> {
 }
 
 /// Candidates that act from the begin of a run on, in one run alone, in `known` parts, and from every block of a motion that does not repeat on.
+///
+/// A load in the first run alone is the load of all runs, which the model has, and its opposite since the second. A tilt or an offset of all runs is
+/// `in_no_model`.
 pub(super) fn candidates(
     evidence: &Evidence,
     operating_point: &OperatingPoint,
     trials: &[Trial],
     known: &[Span],
+    in_no_model: impl Fn(&Candidate) -> bool,
     threads: usize,
 ) -> Vec<Candidate> {
     let families = families(evidence);
     let everywhere = library(evidence, operating_point, &families, Span::ALL, threads);
     let parts = whole_folds(evidence, trials).into_iter();
     let of_part = |span| everywhere.iter().filter_map(move |item| item.in_folds(evidence, span));
+    let first = first_alone(trials).into_iter().flat_map(|span| {
+        everywhere.iter().filter(|item| in_no_model(item)).filter_map(move |item| item.in_folds(evidence, span))
+    });
     let inside = known.iter().flat_map(|span| library(evidence, operating_point, &families, *span, threads));
-    parts.flat_map(of_part).chain(inside).collect()
+    parts.flat_map(of_part).chain(first).chain(inside).collect()
+}
+
+/// The first of several runs.
+fn first_alone(trials: &[Trial]) -> Option<Span> {
+    let first = trials.iter().map(|trial| trial.start).min_by(f64::total_cmp)?;
+    let second = trials.iter().map(|trial| trial.start).filter(|start| *start > first).min_by(f64::total_cmp)?;
+    Some(Span { from: first, to: second })
 }
 
 /// Parts of the recording that consist of folds: from a run on, a run alone, and from a block of a motion that does not repeat on; nothing tells the

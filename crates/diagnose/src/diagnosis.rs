@@ -81,14 +81,18 @@ pub fn diagnose(input: &Input, settings: &Settings, progress: &dyn Fn(&Step)) ->
     let before = identify_with(structure, &experiments, input.options)?;
     let evidence = Evidence::of(structure.chain(), input.identify, settings.band);
     let columns = columns_of(&evidence, structure, input.identify);
-    let base = State::base(&Problem { evidence: &evidence, prior: None }, columns);
+    let problem = Problem { evidence: &evidence, prior: None };
+    let base = State::base(&problem, columns);
     // Columns that depend on the load need parameters: first those of the plain model.
     let operating_point = evidence.operating_point(structure, base.fit.theta.as_slice());
     let mut candidates = library(&evidence, &operating_point, &repeatable(), Span::ALL, settings.threads);
-    candidates.extend(acting::candidates(&evidence, &operating_point, input.identify, input.parts, settings.threads));
-    let problem = Problem { evidence: &evidence, prior: None };
+    let in_no_model =
+        |item: &Candidate| base.try_in(&problem, item).is_some_and(|tried| tried.independence > MIN_INDEPENDENCE_RATIO);
+    let in_parts =
+        acting::candidates(&evidence, &operating_point, input.identify, input.parts, in_no_model, settings.threads);
+    candidates.extend(in_parts);
     let search = Search { problem, operating_point: &operating_point, library: &candidates, settings };
-    let seeds = seeds(&search, &base);
+    let seeds = seeds(&search, in_no_model);
     let mut draft = search.forward(base.clone(), &seeds, progress);
     let relinearised = relinearise(structure, &search, &mut draft.state);
     let operating_point = relinearised.as_ref().unwrap_or(&operating_point);
@@ -255,14 +259,12 @@ fn relinearise(structure: &Structure, search: &Search, state: &mut State) -> Opt
 
 /// Effects that every arm has. Where the noise is unknown, the selection starts with them: otherwise a spring or another joint's load would be
 /// selected for an offset that is not yet in the model.
-fn seeds(search: &Search, base: &State) -> Vec<Candidate> {
+fn seeds(search: &Search, in_no_model: impl Fn(&Candidate) -> bool) -> Vec<Candidate> {
     if search.problem.evidence.repeats() {
         return Vec::new();
     }
     let offset = |item: &&Candidate| {
-        item.span.is_all()
-            && item.spec.family().is_ok_and(|family| family.rare.in_every_arm)
-            && base.try_in(&search.problem, item).is_some_and(|tried| tried.independence > MIN_INDEPENDENCE_RATIO)
+        item.span.is_all() && item.spec.family().is_ok_and(|family| family.rare.in_every_arm) && in_no_model(item)
     };
     search.library.iter().filter(offset).cloned().collect()
 }

@@ -9,7 +9,7 @@
 use super::fold::{BLOCK_LIMITS_S, Fold, Thinned, Thinning, folds_of};
 use super::span::Span;
 use nalgebra::{DMatrix, DVector};
-use plumbline_identify::{Experiment, Timeline};
+use plumbline_identify::{Experiment, NoisePower, Scatter, Timeline};
 use plumbline_model::term::effect::OperatingPoint;
 use plumbline_model::term::{Motion, Term};
 use plumbline_model::{Chain, Structure};
@@ -18,8 +18,6 @@ use std::ops::Range;
 
 /// Upper edges of the bands that have a scale of their own \[Hz\].
 pub const BAND_EDGES_HZ: [f64; 7] = [0.55, 1.05, 2.0, 4.0, 8.0, 16.0, f64::INFINITY];
-/// Noise is averaged over frequencies from `f / 1.3` to `1.3 f`.
-const SMOOTHING_RATIO: f64 = 1.3;
 /// Blocks that the motions that do not repeat are cut into, all together.
 const WANTED_BLOCKS: f64 = 20.0;
 
@@ -416,6 +414,8 @@ fn cells_of(joint: usize, fold: usize, of: &Fold) -> Vec<Cell> {
 
 /// Standard deviation of the noise of each row of a joint: that of the mean period, from all experiments together.
 fn noise(trials: &[Trial], folds: &[Fold], joint: usize, repeats: bool) -> Vec<f64> {
+    let scatters: Vec<&Scatter> = trials.iter().filter_map(|trial| trial.experiment.scatter.as_ref()).collect();
+    let power = NoisePower::of(&scatters, joint);
     let mut sigma = Vec::new();
     for fold in folds {
         if !repeats {
@@ -423,21 +423,10 @@ fn noise(trials: &[Trial], folds: &[Fold], joint: usize, repeats: bool) -> Vec<f
             continue;
         }
         let periods = trials[fold.experiment].experiment.averaged_periods() as f64;
-        for &frequency in &fold.frequencies {
-            let (mut power, mut weight) = (0.0, 0.0);
-            for scatter in trials.iter().filter_map(|trial| trial.experiment.scatter.as_ref()) {
-                let width = 1.0 / (scatter.samples as f64 * scatter.dt);
-                let low = (frequency / SMOOTHING_RATIO / width).round() as usize;
-                let high = ((frequency * SMOOTHING_RATIO / width).round() as usize).max(low + 1);
-                for bin in low..=high.min(scatter.power.nrows() - 1) {
-                    let freedom = (scatter.periods - 1) as f64;
-                    power += freedom * scatter.power[(bin, joint)];
-                    weight += freedom;
-                }
-            }
-            // Torques that repeat to the last bit have no noise; a thousandth of a milli-newton-metre stands for it.
-            sigma.push((power / weight / periods).sqrt().max(1e-6));
-        }
+        let dt = trials[fold.experiment].experiment.motion.dt;
+        // Torques that repeat to the last bit have no noise; a thousandth of a milli-newton-metre stands for it.
+        let of = |frequency: &f64| (power.at(*frequency, dt) / periods).sqrt().max(1e-6);
+        sigma.extend(fold.frequencies.iter().map(of));
     }
     sigma
 }

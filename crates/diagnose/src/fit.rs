@@ -106,6 +106,7 @@ impl Estimate {
 }
 
 /// A model, its data and how its noise is known.
+#[derive(Clone, Copy)]
 pub struct Problem<'a> {
     /// The evidence.
     pub evidence: &'a Evidence,

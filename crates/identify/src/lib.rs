@@ -69,7 +69,7 @@ pub use direction::{Direction, DirectionError, Pose, direction, wrong_sign};
 pub use essential::Dropped;
 pub use experiment::{Experiment, Repeats};
 pub use mounting_check::{Disagreement, GravitySource, ImpliedGravity, cross_check, implied_gravity};
-pub use periods::Scatter;
+pub use periods::{NoisePower, Scatter};
 pub use plausibility::{Implausible, plausible};
 pub use prediction::TorqueUncertainty;
 pub use run::Run;

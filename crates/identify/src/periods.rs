@@ -10,6 +10,11 @@ const MIN_MEASURED_WEIGHT: f64 = 0.1;
 /// Time over which a period fades out of the mean before samples that are left out, and in after them \[s\].
 const FADE_S: f64 = 0.5;
 
+/// The power of noise is averaged over frequencies from `f / 1.3` to `1.3 f`,
+const SMOOTHING_RATIO: f64 = 1.3;
+/// and over as many more as have this many degrees of freedom together.
+const MIN_FREEDOM: f64 = 30.0;
+
 /// Mean of P periods and their scatter.
 #[derive(Clone, Debug)]
 pub struct Averaged {
@@ -191,6 +196,61 @@ impl Scatter {
             power: self.power.columns(columns.start, columns.len()).into_owned(),
             ..self.clone()
         }
+    }
+}
+
+/// Power of the noise of one period by frequency, from several recordings together.
+#[derive(Clone, Debug)]
+pub struct NoisePower {
+    recordings: Vec<Recording>,
+}
+
+#[derive(Clone, Debug)]
+struct Recording {
+    /// Distance of its frequencies \[Hz\].
+    width: f64,
+    /// Degrees of freedom of the power at one frequency.
+    freedom: f64,
+    /// Sums of the power at all frequencies below one, times the time between samples \[s\].
+    below: Vec<f64>,
+}
+
+impl NoisePower {
+    /// Of one column of their scatter.
+    pub fn of(scatters: &[&Scatter], column: usize) -> NoisePower {
+        let recording = |scatter: &&Scatter| {
+            let power = scatter.power.column(column);
+            let sums = power.iter().scan(0.0, |sum, power| {
+                *sum += power * scatter.dt;
+                Some(*sum)
+            });
+            Recording {
+                width: 1.0 / (scatter.samples as f64 * scatter.dt),
+                freedom: 2.0 * (scatter.periods - 1) as f64,
+                below: [0.0].into_iter().chain(sums).collect(),
+            }
+        };
+        NoisePower { recordings: scatters.iter().map(recording).collect() }
+    }
+
+    /// Mean over the frequencies near `frequency` \[Hz\], in the units of [`Scatter::power`] for samples `dt` apart \[s\].
+    pub fn at(&self, frequency: f64, dt: f64) -> f64 {
+        for more in 0.. {
+            let (mut power, mut freedom, mut whole) = (0.0, 0.0, true);
+            for Recording { width, freedom: own, below } in &self.recordings {
+                let bins = below.len() - 1;
+                let bin = |frequency: f64| ((frequency / width).round() as usize).min(bins - 1);
+                let low = bin(frequency / SMOOTHING_RATIO).saturating_sub(more);
+                let high = (bin(frequency * SMOOTHING_RATIO).max(low + 1) + more).min(bins - 1);
+                power += own * (below[high + 1] - below[low]) / dt;
+                freedom += own * (high + 1 - low) as f64;
+                whole &= low == 0 && high == bins - 1;
+            }
+            if freedom >= MIN_FREEDOM || whole {
+                return power / freedom.max(f64::MIN_POSITIVE);
+            }
+        }
+        unreachable!("the whole spectrum is the widest")
     }
 }
 

@@ -2,9 +2,9 @@
 
 use super::emit::{Program, Value, expression};
 use plumbline_identify::consistency::Nearest;
+use plumbline_model::term::Entry;
 use plumbline_model::term::effect::{EffectError, Family, InBodies, InC, Inputs, Site, Spec};
 use plumbline_model::term::friction::SHARPNESS;
-use plumbline_model::term::Entry;
 use plumbline_model::{LinkParameters, TorqueModel, is_consistent};
 
 /// Notes on effects of a model that URDF and MJCF lack, or have a part of.

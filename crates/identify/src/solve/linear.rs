@@ -1,5 +1,6 @@
 //! Common parts of the estimators: weights, and least squares in the determined directions.
 
+use super::coloured::{Gains, filter};
 use super::stack::Stack;
 use crate::EstimateError;
 use nalgebra::{Cholesky, DMatrix, DVector};
@@ -28,31 +29,38 @@ pub struct Fit {
     pub null_share: Vec<f64>,
 }
 
-/// Weights of the equations: `Sigma^-1` over the joints of one sample, times a factor of each row's own.
+/// Weights of the equations: `Sigma^-1` over the joints of one sample, times a factor of each row's own, or by frequency.
 #[derive(Clone, Debug)]
 pub struct Weights {
     /// `L^-1` with `Sigma = L L'`, n x n, lower triangular.
     whitening: DMatrix<f64>,
     /// Square root of each row's own factor.
     rows: Option<Vec<f64>>,
+    /// Gains by frequency, per experiment.
+    gains: Vec<Gains>,
 }
 
 impl Weights {
     /// Equal weights.
     pub fn none(joints: usize) -> Weights {
-        Weights { whitening: DMatrix::identity(joints, joints), rows: None }
+        Weights::by_frequency(joints, Vec::new())
+    }
+
+    /// Weights by frequency, the same for a frequency and its negative.
+    pub fn by_frequency(joints: usize, gains: Vec<Gains>) -> Weights {
+        Weights { whitening: DMatrix::identity(joints, joints), rows: None, gains }
     }
 
     /// Weights by the standard deviation of each joint, n.
     pub fn per_joint(sigma: &[f64]) -> Weights {
         let inverse = DVector::from_iterator(sigma.len(), sigma.iter().map(|sigma| 1.0 / sigma));
-        Weights { whitening: DMatrix::from_diagonal(&inverse), rows: None }
+        Weights { whitening: DMatrix::from_diagonal(&inverse), ..Weights::none(sigma.len()) }
     }
 
     /// Weights by the covariance between the joints, n x n, positive definite.
     pub fn full(covariance: &DMatrix<f64>) -> Option<Weights> {
         let whitening = Cholesky::new(covariance.clone())?.l().try_inverse()?;
-        Some(Weights { whitening, rows: None })
+        Some(Weights { whitening, ..Weights::none(covariance.nrows()) })
     }
 
     /// Adds a factor for every row of the stacked equations, 0 or more.
@@ -77,6 +85,7 @@ impl Weights {
                 row *= *factor;
             }
         }
+        out.column_iter_mut().for_each(|mut column| filter(column.as_mut_slice(), &self.gains));
         out
     }
 
@@ -84,7 +93,10 @@ impl Weights {
     pub fn carry_back(&self, b: &DMatrix<f64>) -> DMatrix<f64> {
         let n = self.whitening.nrows();
         let m = b.ncols() / n;
-        let mut b = b.clone();
+        // A gain without phase is its own transpose.
+        let mut turned = b.transpose();
+        turned.column_iter_mut().for_each(|mut row| filter(row.as_mut_slice(), &self.gains));
+        let mut b = turned.transpose();
         if let Some(rows) = &self.rows {
             for (mut column, factor) in b.column_iter_mut().zip(rows) {
                 column *= *factor;

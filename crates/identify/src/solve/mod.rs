@@ -3,13 +3,14 @@
 //! | estimator | minimises | for |
 //! |---|---|---|
 //! | [`ols`] | squared errors, equally weighted | comparison |
-//! | [`wls`] | squared errors weighted by each joint's noise, or by the covariance between joints | default |
+//! | [`wls`] | squared errors weighted by each joint's noise, by frequency where periods repeat ([`coloured`]), or by the covariance between joints | default |
 //! | [`huber`] | squared errors below a threshold, absolute errors above | torques with outliers: contacts |
 //! | [`tls`] | errors in torques and positions | noisy positions, known noise |
 //! | [`iv`] | correlation of errors with instruments | noisy positions, unknown noise |
 //!
 //! Standard deviations are valid for coloured noise ([`super::covariance`]).
 
+pub mod coloured;
 pub mod huber;
 pub mod iv;
 pub mod linear;
@@ -216,6 +217,7 @@ struct Solver<'a> {
     estimator: Estimator,
     draws: Option<noise::Draws>,
     pairs: Vec<iv::Pair>,
+    coloured: Option<coloured::Noise>,
 }
 
 impl<'a> Solver<'a> {
@@ -229,7 +231,8 @@ impl<'a> Solver<'a> {
             Estimator::Iv => noise::instruments(structure, experiments)?,
             _ => Vec::new(),
         };
-        Ok(Solver { structure, experiments, estimator, draws, pairs })
+        let coloured = coloured::Noise::of(experiments).filter(|_| estimator == Estimator::Wls);
+        Ok(Solver { structure, experiments, estimator, draws, pairs, coloured })
     }
 
     fn solve(&self, stack: &Stack, kept: &[usize]) -> Result<Solved, EstimateError> {
@@ -254,7 +257,7 @@ impl<'a> Solver<'a> {
             });
         }
         // The others need the joints' noise, which weighted least squares estimates.
-        let weighed = wls::solve(stack, self.estimator == Estimator::WlsFull)?;
+        let weighed = wls::solve(stack, self.estimator == Estimator::WlsFull, self.coloured.as_ref())?;
         let sigma = deviations(&weighed.sigma);
         let weights = Weights::per_joint(&sigma);
         let outcome = outcome(weighed.converged);

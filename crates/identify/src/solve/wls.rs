@@ -1,6 +1,7 @@
 //! Weighted least squares, paper eqs. 9 and 10, with weights from the residual of the previous round.
 
-use super::linear::{Fit, Weights, deviations, least_squares, residual_covariance};
+use super::coloured::Noise;
+use super::linear::{Fit, Weights, deviations, least_squares, min_noise, residual_covariance};
 use super::stack::Stack;
 use crate::EstimateError;
 use nalgebra::DMatrix;
@@ -28,11 +29,16 @@ pub struct Weighed {
 
 /// `beta = (W' Sigma^-1 W)^-1 W' Sigma^-1 tau` with `Sigma` the covariance of the torques' errors between the joints of one sample:
 /// its diagonal as in the paper, or (`full`) all of it.
-pub fn solve(stack: &Stack, full: bool) -> Result<Weighed, EstimateError> {
+///
+/// With the `noise` by frequency, its weights: [`Noise::weights`].
+pub fn solve(stack: &Stack, full: bool, noise: Option<&Noise>) -> Result<Weighed, EstimateError> {
     let mut fit = least_squares(stack, &Weights::none(stack.joints))?;
     for round in 1.. {
         let sigma = covariance(stack, &fit, full);
-        let weights = Weights::full(&sigma).unwrap_or_else(|| Weights::per_joint(&deviations(&sigma)));
+        let weights = match noise {
+            Some(noise) => noise.weights(stack, &deviations(&sigma), &min_noise(stack)),
+            None => Weights::full(&sigma).unwrap_or_else(|| Weights::per_joint(&deviations(&sigma))),
+        };
         let next = least_squares(stack, &weights)?;
         let moved = moved(&fit, &next, &weights, stack);
         fit = next;

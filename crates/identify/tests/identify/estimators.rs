@@ -3,7 +3,7 @@
 use plumbline_identify::solve::{Estimator, Identification, Options, Outcome, identify_with};
 use plumbline_identify::{EstimateError, Experiment, Run, Settings};
 use plumbline_testkit::scene;
-use plumbline_testkit::scene::{Extra, Scene};
+use plumbline_testkit::scene::{Coloured, Extra, Scene};
 use std::sync::LazyLock;
 
 static SCENE: LazyLock<Scene> = LazyLock::new(Scene::panda_on_the_wall);
@@ -62,11 +62,11 @@ fn the_scene_draws_the_noise_of_the_arm_s_sensors() {
 
 #[test]
 fn the_bound_agrees_in_time_and_frequency_domain() {
-    let (time, frequency) = (SCENE.bound(3), SCENE.bound_coloured(3, 0.0));
+    let (time, frequency) = (SCENE.bound(3), SCENE.bound_coloured(3, Coloured::of(0.0)));
     for c in 0..time.nrows() {
         assert!((frequency[(c, c)] / time[(c, c)] - 1.0).abs() < 1e-8, "{c}");
     }
-    let coloured = SCENE.bound_coloured(3, 0.1);
+    let coloured = SCENE.bound_coloured(3, Coloured::of(0.1));
     assert!((0..time.nrows()).all(|c| coloured[(c, c)] > 2.0 * time[(c, c)]));
 }
 
@@ -145,7 +145,7 @@ fn the_desired_motion_is_an_instrument_of_an_aperiodic_run() {
 fn the_full_covariance_improves_estimates_under_correlated_noise() {
     // Correlated torque noise of joints 2 and 4, as from a swaying base.
     let mut run = SCENE.record(6, 6);
-    let common = SCENE.record_with(6, 7, Extra { coloured: 1.0, ..Extra::default() });
+    let common = SCENE.record_with(6, 7, Extra { coloured: Coloured::of(1.0), ..Extra::default() });
     for k in 0..run.t.len() {
         let shared = common.tau[(k, 0)] - SCENE.tau[(k % SCENE.motion.samples(), 0)];
         run.tau[(k, 1)] += 0.5 * shared;
@@ -199,7 +199,7 @@ fn aperiodic_runs_with_coloured_noise_have_correct_intervals() {
     let mut all = Vec::new();
     let mut within = (0, 0);
     for seed in 0..6 {
-        let mut run = SCENE.record_with(6, 60 + seed, Extra { coloured: 0.1, ..Extra::default() });
+        let mut run = SCENE.record_with(6, 60 + seed, Extra { coloured: Coloured::of(0.1), ..Extra::default() });
         run.period = None;
         let found = with(Estimator::Wls, &[prepare(&run)]);
         let z = z(&found);

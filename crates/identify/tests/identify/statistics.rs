@@ -3,8 +3,8 @@
 
 use plumbline_identify::solve::identify;
 use plumbline_identify::{Experiment, Method, Settings};
-use plumbline_testkit::scene::Scene;
 use plumbline_testkit::scene::campaign::Campaign;
+use plumbline_testkit::scene::{Coloured, Extra, Scene};
 
 const RUNS: usize = 16;
 const PERIODS: usize = 10;
@@ -28,6 +28,18 @@ fn intervals_have_their_coverage_and_errors_are_near_the_bound() {
     for (c, name) in usual.names.iter().enumerate() {
         let bias = usual.bias[c] / usual.bound[c] * (RUNS as f64).sqrt();
         assert!(bias.abs() < 4.0, "{name}: mean error {bias:.2} of its standard deviations");
+    }
+
+    // Slow noise with its corner at 0.3 Hz. Weights that are white in time give 1.41 and 1.78.
+    for (std, most) in [(0.03, 1.2), (0.1, 1.4)] {
+        let coloured = Coloured { std, time: 0.53 };
+        let slow = Campaign::of(&scene, RUNS, &scene.bound_coloured(PERIODS, coloured), |seed| {
+            let run = scene.record_with(PERIODS, 3000 + seed, Extra { coloured, ..Extra::default() });
+            identify(&scene.structure, &[Experiment::prepare(&run, &Settings::default()).unwrap()]).unwrap()
+        });
+        println!("slow noise of {std} Nm: {}", slow.line());
+        assert!(slow.over_bound() < most, "{}", slow.over_bound());
+        assert!((0.915..0.98).contains(&slow.coverage()), "{}", slow.coverage());
     }
 
     // The paper's signal processing removes the reversals of friction from the motion and is therefore biased.

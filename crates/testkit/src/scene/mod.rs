@@ -42,12 +42,40 @@ pub struct Scene {
 /// What spoils a recording besides the sensors of the arm's own file.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Extra {
-    /// Standard deviation of a first-order torque noise of 0.1 s correlation time \[Nm\].
-    pub coloured: f64,
+    /// First-order torque noise.
+    pub coloured: Coloured,
     /// Standard deviation of further white position noise \[rad\].
     pub position: f64,
     /// Share of the torque samples that are off by 20 times the sensor's noise.
     pub outliers: f64,
+}
+
+/// First-order noise.
+#[derive(Clone, Copy, Debug)]
+pub struct Coloured {
+    /// Standard deviation \[Nm\].
+    pub std: f64,
+    /// Correlation time \[s\].
+    pub time: f64,
+}
+
+impl Default for Coloured {
+    /// None; its correlation time is 0.1 s.
+    fn default() -> Coloured {
+        Coloured { std: 0.0, time: 0.1 }
+    }
+}
+
+impl Coloured {
+    /// With a correlation time of 0.1 s.
+    pub fn of(std: f64) -> Coloured {
+        Coloured { std, ..Coloured::default() }
+    }
+
+    /// Factor from one sample to the next.
+    fn pole(self) -> f64 {
+        (-DT / self.time).exp()
+    }
 }
 
 impl Scene {
@@ -143,7 +171,7 @@ impl Scene {
             let _: f64 = rng.sample(StandardNormal);
         }
         let (mut q, mut tau) = (DMatrix::zeros(rows, n), DMatrix::zeros(rows, n));
-        let pole = (-DT / 0.1_f64).exp();
+        let pole = extra.coloured.pole();
         let mut coloured: Vec<f64> = (0..n).map(|_| more.sample::<f64, _>(StandardNormal)).collect();
         for k in 0..rows {
             for (j, joint) in self.truth.joints.iter().enumerate() {
@@ -154,9 +182,9 @@ impl Scene {
                 let mut additional =
                     |std: f64| if std > 0.0 { std * more.sample::<f64, _>(StandardNormal) } else { 0.0 };
                 let mut torque = self.tau[(k % samples, j)] + of_tau;
-                if extra.coloured > 0.0 {
+                if extra.coloured.std > 0.0 {
                     coloured[j] = pole * coloured[j] + additional((1.0 - pole * pole).sqrt());
-                    torque += extra.coloured * coloured[j];
+                    torque += extra.coloured.std * coloured[j];
                 }
                 let position = self.motion.q[(k % samples, j)] + of_q + additional(extra.position);
                 if extra.outliers > 0.0 && more.random::<f64>() < extra.outliers {
@@ -206,13 +234,13 @@ impl Scene {
 }
 
 impl Scene {
-    /// As [`Scene::bound`] where a first-order noise of 0.1 s correlation time and `coloured` Nm is on every torque too:
+    /// As [`Scene::bound`] where a first-order noise is on every torque too:
     /// frequency by frequency, `(sum_f W(f)^H W(f) / S(f))^-1` with `S` the spectrum of all noise.
-    pub fn bound_coloured(&self, periods: usize, coloured: f64) -> DMatrix<f64> {
+    pub fn bound_coloured(&self, periods: usize, coloured: Coloured) -> DMatrix<f64> {
         let w = self.structure.regressor(&self.motion);
         let samples = self.motion.samples();
         let spectral = Spectral::new(samples, DT);
-        let pole = (-DT / 0.1_f64).exp();
+        let pole = coloured.pole();
         let colour = |f: f64| {
             let turn = std::f64::consts::TAU * f * DT;
             (1.0 - pole * pole) / (1.0 - 2.0 * pole * turn.cos() + pole * pole)
@@ -226,7 +254,7 @@ impl Scene {
                 let spectrum = spectral.transform(&column.as_slice()[j * samples..(j + 1) * samples]);
                 for (m, value) in spectrum.iter().enumerate() {
                     let sides: f64 = if m == 0 || 2 * m == samples { 1.0 } else { 2.0 };
-                    let noise = variance + coloured * coloured * colour(spectral.frequency(m));
+                    let noise = variance + coloured.std.powi(2) * colour(spectral.frequency(m));
                     let weight = (sides / (samples as f64 * noise)).sqrt();
                     rows[(2 * m, c)] = weight * value.re;
                     rows[(2 * m + 1, c)] = weight * value.im;
