@@ -43,8 +43,8 @@ pub fn run(question: &Question) -> Result<Diagnosed, Failure> {
     let (identify, variation, unseen) = prepared(question)?;
     let notes: Vec<String> = identify.iter().chain(&unseen).filter_map(pipeline::settled).collect();
     let (identify, unseen) = (trials(&identify, question.identify), trials(&unseen, question.unseen));
-    // One run accepts or refuses findings, the others measure them; a single one measures.
-    let (veto, judge) = unseen.split_at(usize::from(unseen.len() > 1));
+    // A half of the runs decides, the other measures; a single one does both.
+    let (veto, judge) = unseen.split_at((unseen.len() / 2).max(1).min(unseen.len()));
     let input = Input {
         structure: question.structure,
         identify: &identify,

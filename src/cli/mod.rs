@@ -22,13 +22,21 @@ use clap::Parser;
 use plumbline_ipc::{IpcError, runtime_dir};
 use std::fmt::Display;
 use std::process::ExitCode;
+use std::sync::LazyLock;
 
 /// Identifies the dynamics of a serial robot arm for any mounting and serves the torques it needs at 1 kHz.
 #[derive(Parser)]
-#[command(name = "plumbline", version, max_term_width = 100)]
+#[command(name = "plumbline", version = version(), max_term_width = 100)]
 struct Cli {
     #[command(subcommand)]
     subcommand: Subcommand,
+}
+
+/// The program's version with the rules of its diagnosis.
+fn version() -> &'static str {
+    static VERSION: LazyLock<String> =
+        LazyLock::new(|| format!("{} (diagnosis rules {})", env!("CARGO_PKG_VERSION"), plumbline_diagnose::RULES));
+    &VERSION
 }
 
 /// The subcommands, each with the module that has its `Options` and its `run`.

@@ -74,6 +74,7 @@ fn diagnosed() -> Diagnosis {
         unit: unit.into(),
     };
     Diagnosis {
+        rules: plumbline_diagnose::RULES.into(),
         verdict: Verdict::Diagnosed,
         confirmation: Some(Confirmation::Full { trajectories: 3 }),
         effects: vec![presliding(4)],

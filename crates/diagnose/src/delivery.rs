@@ -33,7 +33,7 @@ const SETTLED_DEVIATIONS: f64 = 0.1;
 pub struct Delivery<'a> {
     /// What is diagnosed.
     pub input: &'a Input<'a>,
-    /// Its unseen runs.
+    /// The runs that decide.
     pub unseen: &'a Evidence,
     /// The same without what acts in a part of the recording.
     pub unseen_without: &'a [Trial<'a>],
@@ -122,7 +122,7 @@ impl Delivery<'_> {
                 return Some((index, format!("{name} came out as {value:.3}, and it can't be below 0")));
             }
         }
-        let compared = self.compared(after)?;
+        let compared = self.compared(after, self.input.veto)?;
         let change = |joint: usize| (compared.change.validate_rms[joint], compared.change.intervals[joint]);
         let words = |joint: usize| {
             let (change, [low, high]) = change(joint);
@@ -148,15 +148,17 @@ impl Delivery<'_> {
             let mut fewer = kept.to_vec();
             fewer[index] = false;
             let after = self.extended(&selected.state, &fewer).ok()?;
-            Some((index, self.compared(&after)?.after.validate_rms[joint]))
+            Some((index, self.compared(&after, self.input.veto)?.after.validate_rms[joint]))
         };
         let errors = candidates.iter().filter_map(error_without);
         errors.min_by(|(_, a), (_, b)| a.total_cmp(b)).map(|(index, _)| index)
     }
 
-    /// Errors of the plain model and of another one on unseen runs; `None` where there are none.
-    pub fn compared(&self, after: &Fitted) -> Option<Compared> {
-        let runs = [self.input.judge, self.input.veto].into_iter().find(|runs| !runs.is_empty())?;
+    /// Errors of the plain model and of another one on runs; `None` where there are none.
+    pub fn compared(&self, after: &Fitted, runs: &[Trial]) -> Option<Compared> {
+        if runs.is_empty() {
+            return None;
+        }
         let plain = Fitted { structure: self.input.structure.clone(), identification: self.before.clone() };
         // Evaluated causally as in the loop; a regressor may use later samples.
         let model = |fitted: &Fitted| {

@@ -1,5 +1,6 @@
 //! The whole way: base fit, selection, veto by unseen data, adequacy, verdict.
 
+use super::RULES;
 use super::Settings;
 use super::acting::{self, Acting};
 use super::curves;
@@ -37,9 +38,9 @@ pub struct Input<'a> {
     pub structure: &'a Structure,
     /// Runs to identify from.
     pub identify: &'a [Trial<'a>],
-    /// Runs on which a finding has to lower the error to be accepted; not fitted.
+    /// Runs that decide which findings are accepted and delivered, and whether a joint is explained; not fitted.
     pub veto: &'a [Trial<'a>],
-    /// Runs that measure whether a joint is explained; neither fitted nor used to accept findings.
+    /// Runs that the errors before and after are measured on and nothing is decided by; without any, those of `veto`.
     pub judge: &'a [Trial<'a>],
     /// How parameters are identified.
     pub options: &'a solve::Options,
@@ -48,9 +49,14 @@ pub struct Input<'a> {
 }
 
 impl<'a> Input<'a> {
-    /// Runs that the model was not fitted to, where there are any.
-    pub(super) fn unseen(&self) -> &'a [Trial<'a>] {
-        [self.judge, self.veto].into_iter().find(|runs| !runs.is_empty()).unwrap_or(self.identify)
+    /// Runs that decide, those that the model was not fitted to where there are any.
+    pub(super) fn deciding(&self) -> &'a [Trial<'a>] {
+        if self.veto.is_empty() { self.identify } else { self.veto }
+    }
+
+    /// Runs that the errors are measured on.
+    fn measuring(&self) -> &'a [Trial<'a>] {
+        if self.judge.is_empty() { self.veto } else { self.judge }
     }
 }
 
@@ -100,10 +106,10 @@ pub fn diagnose(input: &Input, settings: &Settings, progress: &dyn Fn(&Step)) ->
     let selected = search.finish(draft, progress);
     let mut selected = vetoed(&search, selected, input, settings);
 
-    let unseen = Evidence::of(structure.chain(), input.unseen(), settings.band);
+    let unseen = Evidence::of(structure.chain(), input.deciding(), settings.band);
     end_where_refuted(&search, &mut selected.state, &unseen, input);
     let (lacks, adequacy) = {
-        let model = Unseen::of(&unseen, structure, input.unseen(), &selected.state, operating_point);
+        let model = Unseen::of(&unseen, structure, input.deciding(), &selected.state, operating_point);
         let lacks = model.lacks(&base.fit.theta);
         let adequacy = model.explained(&lacks, &selected.state.fit.theta);
         (lacks, adequacy)
@@ -117,7 +123,7 @@ pub fn diagnose(input: &Input, settings: &Settings, progress: &dyn Fn(&Step)) ->
     let identified = trials_of(experiments.iter(), input.identify);
     let [veto, judge] = [(&veto, input.veto), (&judge, input.judge)]
         .map(|(own, trials)| trials_of(own.iter().map(|one| &**one), trials));
-    let unseen_without = [&judge, &veto].into_iter().find(|runs| !runs.is_empty()).unwrap_or(&identified);
+    let unseen_without = if veto.is_empty() { &identified } else { &veto };
     let delivery = Delivery {
         input,
         unseen: &unseen,
@@ -143,14 +149,14 @@ pub fn diagnose(input: &Input, settings: &Settings, progress: &dyn Fn(&Step)) ->
     let joints: Vec<JointFacts> = (0..evidence.joints()).map(facts).collect();
     let residuals = residuals(&evidence, left, settings, &joints, &adequacy);
     let curves = curves::of(&search, &base, left, &residuals);
-    let compared = delivery.compared(&after);
+    let compared = delivery.compared(&after, input.measuring());
     let independences = detectable::independences(&search, &base);
     let others = [veto.clone(), judge.clone()].concat();
     let disagreements = disagreements(structure.chain(), &evidence, &identified, &others, &after, settings.band);
     let mut diagnosis = Diagnosis {
         verdict: verdict(&effects, residuals.is_empty() && disagreements.is_empty()),
         confirmation: Some(confirmation(&evidence)),
-        held_out_runs: input.judge.iter().map(|trial| trial.experiment.name.clone()).collect(),
+        held_out_runs: input.measuring().iter().map(|trial| trial.experiment.name.clone()).collect(),
         unexplained: residuals.iter().map(|one| one.unexplained(joints[one.joint].floor_of_mean)).collect(),
         minimum_detectable: detectable::minimum(&search, &independences),
         not_identifiable: detectable::not_identifiable(&independences),
@@ -160,6 +166,7 @@ pub fn diagnose(input: &Input, settings: &Settings, progress: &dyn Fn(&Step)) ->
         effects,
         joints,
         disagreements,
+        rules: RULES.into(),
         ..Diagnosis::default()
     };
     if let Some(compared) = compared {
@@ -199,12 +206,12 @@ fn notes(evidence: &Evidence, input: &Input, effects: &[Effect], disagreements: 
             "run {run} differs from the runs that the model was identified from: {rms:.3} Nm in joint {joint}, expected {expected:.3} Nm"
         )
     }));
-    if !input.judge.is_empty() {
-        let used = |trial: &Trial| {
-            format!("{} was used to accept findings and is excluded from every error shown here", trial.experiment.name)
-        };
-        notes.extend(input.veto.iter().map(used));
-    }
+    let also = match input.judge {
+        [] => "the errors shown here are of it too, for no other run is unseen",
+        _ => "it is in no error shown here",
+    };
+    let decided = |trial: &Trial| format!("{} decided which findings are delivered; {also}", trial.experiment.name);
+    notes.extend(input.veto.iter().map(decided));
     notes
 }
 
@@ -330,10 +337,10 @@ fn end_where_refuted(search: &Search, state: &mut State, evidence: &Evidence, in
     let end = input.identify.iter().map(|trial| trial.start + trial.experiment.timeline.end()).fold(0.0, f64::max);
     for item in 0..state.items.len() {
         let span = state.items[item].span;
-        if span.is_all() || span.to.is_finite() || !acting::any_in(Span::since(end), input.unseen()) {
+        if span.is_all() || span.to.is_finite() || !acting::any_in(Span::since(end), input.deciding()) {
             continue;
         }
-        let unseen = Unseen::of(evidence, input.structure, input.unseen(), state, search.operating_point);
+        let unseen = Unseen::of(evidence, input.structure, input.deciding(), state, search.operating_point);
         let mut without = state.fit.theta.clone();
         let range = state.range(item);
         without.rows_mut(range.start, range.len()).fill(0.0);

@@ -58,6 +58,9 @@ mod span;
 mod state;
 mod unseen;
 
+/// Hash of the sources that a verdict depends on: those of this crate, of the estimate and of the effects. A figure names the rules that it was made with.
+pub const RULES: &str = env!("PLUMBLINE_RULES");
+
 pub use diagnosis::{Input, diagnose};
 pub use evidence::{Evidence, Trial};
 pub use fallback::{Residual, Variable, lack_of_fit, lacks, unexplained};

