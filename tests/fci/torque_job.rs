@@ -24,7 +24,8 @@ fn scene(name: &str) -> (Emulator, Place, Command) {
         "backend.franka.state-timeout=2 s".into(),
         "safety.max-lost=19".into(),
         "excitation.period=4 s".into(),
-        "excitation.periods=2".into(),
+        "excitation.periods=1".into(),
+        "excitation.lead-in=0".into(),
         "excitation.starts=1".into(),
         "excitation.rounds=0".into(),
         "validation.trajectories=1".into(),
@@ -49,6 +50,11 @@ fn a_torque_controlled_job_on_a_wall_waits_for_the_models_check_and_is_driven_to
         "{}",
         done.output()
     );
+    // A joint that oscillates between two cycles is held at the torque rate in most of them.
+    let sessions = place.report().control_loop.unwrap().sessions;
+    let cycles: u64 = sessions.iter().map(|session| session.statistics.cycles).sum();
+    let limited: u64 = sessions.iter().filter_map(|session| Some(session.link.as_ref()?.limited)).sum();
+    assert!(cycles > 5000 && limited < cycles / 100, "the torque rate was held in {limited} of {cycles} cycles");
 }
 
 #[test]
