@@ -116,7 +116,7 @@ fn diagnosed() -> Diagnosis {
 fn report(diagnosis: Diagnosis) -> Report {
     let run = |index: usize| Validation {
         run: format!("validate-{index}.csv"),
-        rms: diagnosis.after.validate_rms.clone(),
+        rms_raw: diagnosis.after.validate_rms.clone(),
         mounting: Mounting::WALL.into(),
         ..Validation::default()
     };
@@ -124,7 +124,7 @@ fn report(diagnosis: Diagnosis) -> Report {
         robot: "panda".into(),
         mounting: Mounting::WALL.into(),
         base: Base { kind: "GBS".into(), count: 59, ..Base::default() },
-        identify: Fit { rms: FLOOR.to_vec(), ..Fit::default() },
+        identify: Fit { rms_raw: FLOOR.to_vec(), ..Fit::default() },
         validate: (1..=2).map(run).collect(),
         noise_floor: FLOOR.to_vec(),
         diagnosis: Some(diagnosis),
