@@ -67,9 +67,9 @@ fn flood(place: &Place, robot: &RobotId, long: Duration) {
     std::thread::scope(|scope| {
         for _ in 0..11 {
             scope.spawn(|| {
-                let mut client = Client::connect(robot, PATIENCE).unwrap();
+                let mut client = Client::connect(robot, TIMEOUT).unwrap();
                 while !over.load(Ordering::Relaxed) {
-                    let _ = client.send_bytes(&bytes, PATIENCE);
+                    let _ = client.send_bytes(&bytes, TIMEOUT);
                 }
             });
         }
@@ -132,7 +132,7 @@ fn sixteen_clients_of_which_some_are_slow_dead_or_hostile_cost_the_loop_nothing(
 /// Sends requests that are none, and waits for no answer.
 fn babble(robot: &RobotId, long: Duration) {
     let begin = Instant::now();
-    let mut client = Client::connect(robot, PATIENCE).unwrap();
+    let mut client = Client::connect(robot, TIMEOUT).unwrap();
     let mut sent = 0_u64;
     while begin.elapsed() < long {
         // Whatever becomes of it: the daemon is busy with the nonsense before.

@@ -22,7 +22,7 @@ fn scene() -> Scene {
     // A test machine stalls now and then: this robot's time waits for it.
     let emulated = Emulated {
         mounting: Mounting::WALL,
-        patience: Duration::from_millis(20),
+        command_wait: Duration::from_millis(20),
         ..Emulated::new(address, Protocol::V5)
     };
     let folder = tempfile::tempdir().unwrap();

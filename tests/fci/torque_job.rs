@@ -12,8 +12,8 @@ use std::time::Duration;
 fn scene(name: &str) -> (Emulator, Place, Command) {
     let address = address();
     // A loaded test machine stalls the daemon: the robot's time waits for its commands.
-    let patience = Duration::from_millis(500);
-    let settings = Settings { mounting: Mounting::WALL, patience, ..Settings::new(address, Protocol::V5) };
+    let command_wait = Duration::from_millis(500);
+    let settings = Settings { mounting: Mounting::WALL, command_wait, ..Settings::new(address, Protocol::V5) };
     let place = Place::new(name);
     let mut command = plumbline();
     command.args(["run", "config/panda-emulator-wall.toml", "--out"]).arg(place.out());

@@ -10,6 +10,7 @@ use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
+pub use crate::wait::{TIMEOUT, wait_for};
 use nalgebra::DVector;
 use plumbline::report::Report;
 use plumbline_core::Phase;
@@ -17,9 +18,6 @@ use plumbline_ipc::{Progress, Status};
 use plumbline_model::{Reduction, Robot};
 use plumbline_sim::Truth;
 use tempfile::TempDir;
-
-/// Timeout, long enough for a loaded machine.
-pub const PATIENCE: Duration = Duration::from_secs(300);
 
 pub const WALL: &str = "config/sim-panda-wall.toml";
 
@@ -252,11 +250,11 @@ impl Running {
         self.0.as_mut().unwrap().child.try_wait().unwrap().is_none()
     }
 
-    /// Waits for its end, at most [`PATIENCE`].
+    /// Waits for its end, at most [`TIMEOUT`].
     pub fn end(mut self) -> Done {
         let start = Instant::now();
         while self.runs() {
-            assert!(start.elapsed() < PATIENCE, "process {} did not end", self.pid());
+            assert!(start.elapsed() < TIMEOUT, "process {} did not end", self.pid());
             std::thread::sleep(Duration::from_millis(10));
         }
         let mut process = self.0.take().unwrap();
@@ -350,19 +348,6 @@ pub fn anyone_with(text: &str) -> Vec<u32> {
         pid != std::process::id() && line.contains(text)
     };
     processes.filter(mentions).collect()
-}
-
-/// Waits until `condition` gives something.
-#[track_caller]
-pub fn wait_for<T>(what: &str, mut condition: impl FnMut() -> Option<T>) -> T {
-    let start = Instant::now();
-    loop {
-        if let Some(found) = condition() {
-            return found;
-        }
-        assert!(start.elapsed() < PATIENCE, "{what} did not happen");
-        std::thread::sleep(Duration::from_millis(5));
-    }
 }
 
 /// Name and true value of every parameter that the paper's model of this arm has: the general base set, then fv, then fc.

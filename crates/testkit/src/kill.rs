@@ -7,12 +7,14 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use crate::job::{Place, plumbline, signal};
+pub use crate::wait::within;
 use plumbline_ipc::{
     Client, Delivery, FeedForwardClient, FeedForwardSettings, Progress, Request, Response, RobotId, SampleStream,
     Status, StreamSettings,
 };
 
-pub const PATIENCE: Duration = Duration::from_secs(30);
+/// Longest wait for any step of a round.
+pub const LIMIT: Duration = Duration::from_secs(30);
 pub const RESTART: Duration = Duration::from_secs(2);
 
 /// A child process, killed on drop. Its output is written to a file.
@@ -108,20 +110,6 @@ impl Robot {
     }
 }
 
-/// Waits for `condition` up to `limit`; returns the elapsed time.
-pub fn within(limit: Duration, mut condition: impl FnMut() -> bool) -> Option<Duration> {
-    let start = Instant::now();
-    loop {
-        if condition() {
-            return Some(start.elapsed());
-        }
-        if start.elapsed() > limit {
-            return None;
-        }
-        std::thread::sleep(Duration::from_millis(4));
-    }
-}
-
 pub type Violations = Arc<Mutex<Vec<String>>>;
 
 /// Two monitor threads: one reads every sample, one the newest torque.
@@ -161,7 +149,7 @@ impl Monitors {
 /// Checks that every record arrives exactly once and in order, over all starts of the daemon.
 fn follow_samples(robot: &RobotId, stop: &AtomicBool, violations: &Violations, count: &AtomicU64) {
     let settings = StreamSettings { name: "monitor".into(), ..StreamSettings::default() };
-    let mut stream = SampleStream::connect(robot, settings, PATIENCE).unwrap();
+    let mut stream = SampleStream::connect(robot, settings, LIMIT).unwrap();
     let (mut next, mut cycle) = (stream.position(), None);
     let report = |words: String| violations.lock().unwrap().push(words);
     while !stop.load(Ordering::Relaxed) {
@@ -194,7 +182,7 @@ fn follow_samples(robot: &RobotId, stop: &AtomicBool, violations: &Violations, c
 /// Checks the newest torque: sequence numbers increase within a start, and a value not marked stale is younger than the limit.
 fn follow_torque(robot: &RobotId, stop: &AtomicBool, violations: &Violations, count: &AtomicU64, stale: &AtomicBool) {
     let settings = FeedForwardSettings::default();
-    let mut client = FeedForwardClient::connect(robot, settings, PATIENCE).unwrap();
+    let mut client = FeedForwardClient::connect(robot, settings, LIMIT).unwrap();
     let mut last = (0, 0);
     while !stop.load(Ordering::Relaxed) {
         match client.latest() {

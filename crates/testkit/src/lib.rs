@@ -3,7 +3,7 @@
 //!
 //! | feature | modules |
 //! |---|---|
-//! | none | `conformance`, `logs`, `page`, `peers`, `turns` |
+//! | none | `conformance`, `logs`, `page`, `peers`, `turns`, `wait` |
 //! | `model` | `arms` |
 //! | `loop` | `fake_arm` |
 //! | `sim` | `sim` |
@@ -53,6 +53,7 @@ pub mod scene;
 #[cfg(feature = "sim")]
 pub mod sim;
 pub mod turns;
+pub mod wait;
 
 use std::path::{Path, PathBuf};
 

@@ -22,8 +22,8 @@ fn emulator_child() {
     let Ok(address) = std::env::var(ADDRESS) else { return };
     let address: IpAddr = address.parse().unwrap();
     let settings = emulator::Settings::new(address, Protocol::V5);
-    let patience = Duration::from_millis(10);
-    let _emulator = emulator::Emulator::start(emulator::Settings { patience, ..settings }).unwrap();
+    let command_wait = Duration::from_millis(10);
+    let _emulator = emulator::Emulator::start(emulator::Settings { command_wait, ..settings }).unwrap();
     loop {
         std::thread::sleep(Duration::from_secs(60));
     }
@@ -46,7 +46,7 @@ fn at_rest(arm: &emulator::Emulator) -> bool {
 
 /// Waits until the robot is served; a daemon that finds the robot busy ends, and is started again as a service would be.
 fn wait_until_served(robot: &Robot, daemon: &mut Process) -> bool {
-    let served = within(PATIENCE, || {
+    let served = within(LIMIT, || {
         if daemon.ended().is_some() {
             *daemon = robot.process("daemon");
         }
@@ -64,7 +64,7 @@ fn restart(
 ) {
     if daemon.ended().is_none() {
         daemon.signal("KILL");
-        within(PATIENCE, || daemon.ended().is_some());
+        within(LIMIT, || daemon.ended().is_some());
     }
     drop(arm.take());
     *arm = Some(emulator());
@@ -83,8 +83,10 @@ fn check_stale(monitors: &Monitors, injected: Instant) -> Result<(), String> {
 pub fn daemons(rounds: u32, seed: u64, kill: bool) -> Row {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     let (robot, address) = emulated("kill-daemon");
-    let settings =
-        emulator::Settings { patience: Duration::from_millis(10), ..emulator::Settings::new(address, Protocol::V5) };
+    let settings = emulator::Settings {
+        command_wait: Duration::from_millis(10),
+        ..emulator::Settings::new(address, Protocol::V5)
+    };
     let emulator = || emulator::Emulator::start(settings.clone()).unwrap();
     let mut row = Row { name: format!("daemon, {}", signals(kill)), ..Row::default() };
     let (mut arm, mut daemon) = (Some(emulator()), robot.process("daemon"));
@@ -172,7 +174,7 @@ pub fn emulators(rounds: u32, seed: u64, kill: bool) -> Row {
             .args(["kill_campaign::franka::emulator_child", "--exact", "--nocapture"])
             .env(ADDRESS, address.to_string());
         let process = Process::start(command, &robot.place, "emulator");
-        within(PATIENCE, || std::net::TcpStream::connect((address, 1337)).is_ok()).expect("an emulator");
+        within(LIMIT, || std::net::TcpStream::connect((address, 1337)).is_ok()).expect("an emulator");
         process
     };
     let mut row = Row { name: format!("robot (emulator), {}", signals(kill)), ..Row::default() };
@@ -213,7 +215,7 @@ pub fn emulators(rounds: u32, seed: u64, kill: bool) -> Row {
                 }
             }
             // The daemon says what happened and ends; as a service it would be started again.
-            within(PATIENCE, || daemon.ended().is_some()).ok_or("the daemon does not notice")?;
+            within(LIMIT, || daemon.ended().is_some()).ok_or("the daemon does not notice")?;
             let message = daemon.output();
             if daemon.ended() != Some(1) || !message.contains("the loop ended") {
                 return Err(format!("the daemon ended with {:?}: {message}", daemon.ended()));

@@ -45,7 +45,7 @@ fn draw(random: &mut ChaCha8Rng, kill: bool) -> Fault {
 
 /// Starts the programme where it does not run; `false` when this machine would not let it.
 fn start_motion(robot: &Robot) -> Result<bool, String> {
-    let answered = within(PATIENCE, || robot.status().is_some());
+    let answered = within(LIMIT, || robot.status().is_some());
     answered.ok_or("the daemon does not answer")?;
     if robot.status().is_some_and(|now| now.progress == Progress::Idle) {
         match robot.ask(&Request::Start {}) {
@@ -58,7 +58,7 @@ fn start_motion(robot: &Robot) -> Result<bool, String> {
 
 /// Waits until the daemon that was started at `since` answers, and looks that it holds.
 fn check_successor(robot: &Robot, since: Instant) -> Result<f64, String> {
-    within(PATIENCE, || robot.status().is_some()).ok_or("no successor answers")?;
+    within(LIMIT, || robot.status().is_some()).ok_or("no successor answers")?;
     let up = since.elapsed();
     let now = robot.status().ok_or("the successor went silent")?;
     let still = now.progress == Progress::Idle && now.motion == 0 && now.phase == Phase::Hold;

@@ -22,7 +22,7 @@ pub fn estimators(rounds: u32, seed: u64, kill: bool) -> Row {
     let robot = simulated("kill-estimator");
     let mut row = Row { name: format!("estimator, {}", signals(kill)), ..Row::default() };
     let mut daemon = robot.process("daemon");
-    within(PATIENCE, || robot.status().is_some()).expect("a daemon");
+    within(LIMIT, || robot.status().is_some()).expect("a daemon");
     let monitors = Monitors::watch(&robot.id);
     let mut estimator = robot.process("estimator");
     for round in 0..rounds {
@@ -34,15 +34,14 @@ pub fn estimators(rounds: u32, seed: u64, kill: bool) -> Row {
             if !start_motion(&robot)? {
                 return Ok(None);
             }
-            within(PATIENCE, || followed_by(&robot, estimator.pid())).ok_or("the estimator does not follow")?;
+            within(LIMIT, || followed_by(&robot, estimator.pid())).ok_or("the estimator does not follow")?;
             std::thread::sleep(Duration::from_millis(random.random_range(0..600)));
             let mut up = None;
             match draw(&mut random, kill) {
                 Fault::Kill => {
                     estimator.signal("KILL");
                     estimator = robot.process("estimator");
-                    let took =
-                        within(PATIENCE, || followed_by(&robot, estimator.pid())).ok_or("no successor follows")?;
+                    let took = within(LIMIT, || followed_by(&robot, estimator.pid())).ok_or("no successor follows")?;
                     up = Some(took.as_secs_f64() * 1e3);
                 }
                 Fault::Suspend(ms) => {
@@ -53,7 +52,7 @@ pub fn estimators(rounds: u32, seed: u64, kill: bool) -> Row {
             }
             // It has, or fetches, everything that was published.
             let published = robot.status().ok_or("the daemon does not answer")?.served.published;
-            within(PATIENCE, || acknowledged(&robot, estimator.pid()) >= published).ok_or("samples do not arrive")?;
+            within(LIMIT, || acknowledged(&robot, estimator.pid()) >= published).ok_or("samples do not arrive")?;
             let now = robot.status().ok_or("the daemon does not answer")?;
             if now.served.given_up_unacknowledged > 0 {
                 return Err(format!("{} samples given up", now.served.given_up_unacknowledged));
@@ -75,7 +74,7 @@ pub fn clients(rounds: u32, seed: u64, kill: bool) -> Row {
     let robot = simulated("kill-client");
     let mut row = Row { name: format!("torque client, {}", signals(kill)), ..Row::default() };
     let _daemon = robot.process("daemon");
-    within(PATIENCE, || robot.status().is_some()).expect("a daemon");
+    within(LIMIT, || robot.status().is_some()).expect("a daemon");
     let monitors = Monitors::watch(&robot.id);
     let mut client = robot.torque_client();
     for round in 0..rounds {
@@ -83,7 +82,7 @@ pub fn clients(rounds: u32, seed: u64, kill: bool) -> Row {
             if !start_motion(&robot)? {
                 return Ok(None);
             }
-            within(PATIENCE, || client.output().lines().count() > 2).ok_or("the client says nothing")?;
+            within(LIMIT, || client.output().lines().count() > 2).ok_or("the client says nothing")?;
             std::thread::sleep(Duration::from_millis(random.random_range(0..400)));
             let mut up = None;
             match draw(&mut random, kill) {
@@ -92,7 +91,7 @@ pub fn clients(rounds: u32, seed: u64, kill: bool) -> Row {
                     let message = client.output();
                     check_marks(&message)?;
                     client = robot.torque_client();
-                    let took = within(PATIENCE, || client.output().contains("tau_ff")).ok_or("no successor reads")?;
+                    let took = within(LIMIT, || client.output().contains("tau_ff")).ok_or("no successor reads")?;
                     up = Some(took.as_secs_f64() * 1e3);
                 }
                 Fault::Suspend(ms) => {
@@ -100,7 +99,7 @@ pub fn clients(rounds: u32, seed: u64, kill: bool) -> Row {
                     std::thread::sleep(Duration::from_millis(ms));
                     let before = client.output().lines().count();
                     client.signal("CONT");
-                    within(PATIENCE, || client.output().lines().count() > before + 3)
+                    within(LIMIT, || client.output().lines().count() > before + 3)
                         .ok_or("the client does not go on")?;
                     check_marks(&client.output())?;
                 }
