@@ -28,7 +28,7 @@ impl Daemon {
     fn into_motion(self, place: &Place) -> Daemon {
         wait_for("the daemon", || place.status());
         place.command("start").expect_code(0);
-        place.await_excitation();
+        place.await_motion();
         self
     }
 

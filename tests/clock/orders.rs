@@ -26,7 +26,7 @@ fn resume_while_braking_is_refused_and_works_at_rest() {
     let place = Place::new("resume");
     let daemon = place.daemon(&short(&LONG_ON_CLOCK));
     place.command("start").expect_code(0);
-    place.await_excitation();
+    place.await_motion();
     std::thread::sleep(Duration::from_millis(600));
     let robot = RobotId::parse("test", "robot", &place.id).unwrap();
     let mut client = Client::connect(&robot, TIMEOUT).unwrap();

@@ -14,7 +14,7 @@ pub use crate::wait::{TIMEOUT, wait_for};
 use nalgebra::DVector;
 use plumbline::report::Report;
 use plumbline_core::Phase;
-use plumbline_ipc::{Progress, Status};
+use plumbline_ipc::{Client, Progress, Request, Response, RobotId, Status};
 use plumbline_model::{Reduction, Robot};
 use plumbline_sim::Truth;
 use tempfile::TempDir;
@@ -122,10 +122,14 @@ impl Place {
         Done::of(command)
     }
 
-    /// The daemon's status, if it responds.
+    /// The daemon's status, if it responds: as `plumbline command status`, without a process for every poll.
     pub fn status(&self) -> Option<Status> {
-        let done = self.command("status");
-        (done.code == Some(0)).then(|| serde_json::from_str(&done.out).unwrap())
+        let robot = RobotId::parse("test", "robot", &self.id).unwrap();
+        let mut client = Client::connect_operator(&robot, Duration::from_millis(500)).ok()?;
+        match client.send(&Request::Status {}, Duration::from_secs(2)).ok()? {
+            Response::Status(status) => Some(*status),
+            _ => None,
+        }
     }
 
     #[track_caller]
@@ -135,10 +139,11 @@ impl Place {
         daemon
     }
 
-    /// Waits until the arm moves along the excitation.
+    /// Waits until the programme moves the arm: to the start of its first motion, which takes seconds, or along it.
     #[track_caller]
-    pub fn await_excitation(&self) {
-        let moves = |now: &Status| now.progress == Progress::Driving && now.phase == Phase::Excite;
+    pub fn await_motion(&self) {
+        let moves =
+            |now: &Status| now.progress == Progress::Driving && matches!(now.phase, Phase::Approach | Phase::Excite);
         wait_for("motion", || self.status().filter(moves));
     }
 

@@ -2,7 +2,7 @@
 //! Franka's control unit). The motion continues or stops by its rule, the restarted process is up in time and finds nothing stale, no delivered
 //! sample is lost, and every old torque is marked as stale.
 //!
-//! One of each runs with the tests; `hil/kill-campaign/run.sh` injects a hundred of each and writes the tables of docs/results/campaigns.md.
+//! One of each runs with the tests, two robots at a time; `hil/kill-campaign/run.sh` injects a hundred of each and writes the tables of docs/results/campaigns.md.
 
 mod franka;
 mod simulated;
@@ -11,9 +11,9 @@ mod table;
 use plumbline_core::Phase;
 use plumbline_ipc::{Progress, Request, Response};
 use plumbline_testkit::kill::*;
+use plumbline_testkit::turns::Turns;
 use rand::Rng;
 use rand_chacha::ChaCha8Rng;
-use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 use table::{Row, load, page};
 
@@ -29,7 +29,8 @@ const LONG: [&str; 9] = [
     "output.dataset=false",
     "diagnosis.enabled=false",
 ];
-static ONE_AT_A_TIME: Mutex<()> = Mutex::new(());
+/// Each robot of the campaign is some processes that mostly wait.
+static ROBOTS: Turns = Turns::new(2);
 
 /// What is done to a process.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -75,34 +76,47 @@ fn signals(kill: bool) -> &'static str {
     if kill { "SIGKILL" } else { "SIGSTOP, SIGCONT" }
 }
 
-/// All processes and faults, `rounds` each.
-fn campaign(rounds: u32, seed: u64) -> Vec<Row> {
-    let _turn = ONE_AT_A_TIME.lock().unwrap_or_else(PoisonError::into_inner);
-    let kinds: [fn(u32, u64, bool) -> Row; 4] =
-        [simulated::estimators, simulated::clients, franka::daemons, franka::emulators];
-    // `ONLY=3` runs the robot's alone.
-    let only = std::env::var("ONLY").ok();
-    let mut rows = Vec::new();
-    for (kind, number) in kinds.into_iter().zip(0u64..) {
-        if only.as_ref().is_some_and(|only| *only != number.to_string()) {
-            continue;
-        }
-        for kill in [true, false] {
-            let row = kind(rounds, seed + 2 * number + u64::from(kill), kill);
-            eprintln!("{}", row.line());
-            row.violations.iter().for_each(|violation| eprintln!("    {violation}"));
-            rows.push(row);
-        }
-    }
-    rows
+/// What is killed: estimator, torque client, daemon, robot.
+const KINDS: [fn(u32, u64, bool) -> Row; 4] =
+    [simulated::estimators, simulated::clients, franka::daemons, franka::emulators];
+
+/// `rounds` of both faults with the process `number` of [`KINDS`].
+fn rounds_of(number: u8, rounds: u32, seed: u64) -> [Row; 2] {
+    [true, false].map(|kill| {
+        let _turn = ROBOTS.take();
+        let row = KINDS[usize::from(number)](rounds, seed + 2 * u64::from(number) + u64::from(kill), kill);
+        eprintln!("{}", row.line());
+        row.violations.iter().for_each(|violation| eprintln!("    {violation}"));
+        row
+    })
 }
 
-#[test]
-fn one_of_each() {
-    for row in campaign(1, 1) {
+#[track_caller]
+fn assert_one_of_each(number: u8) {
+    for row in rounds_of(number, 1, 1) {
         assert!(row.violations.is_empty(), "{}: {:#?}", row.name, row.violations);
         assert!(row.continued + row.stopped > 0, "{}: this machine let no round count", row.name);
     }
+}
+
+#[test]
+fn an_estimator_that_is_killed_or_suspended_loses_no_sample() {
+    assert_one_of_each(0);
+}
+
+#[test]
+fn a_torque_client_that_is_killed_or_suspended_reads_no_unmarked_old_torque() {
+    assert_one_of_each(1);
+}
+
+#[test]
+fn a_daemon_that_is_killed_or_suspended_leaves_the_arm_at_rest_or_moving_by_its_rule() {
+    assert_one_of_each(2);
+}
+
+#[test]
+fn a_robot_that_is_killed_or_suspended_ends_the_motion_by_its_rule() {
+    assert_one_of_each(3);
 }
 
 /// Writes the tables of docs/results/campaigns.md; hil/kill-campaign/run.sh runs it.
@@ -112,7 +126,10 @@ fn the_whole_campaign() {
     let number = |variable, default| std::env::var(variable).ok().and_then(|text| text.parse().ok()).unwrap_or(default);
     let (rounds, seed) = (number("ROUNDS", 50) as u32, number("SEED", 1));
     let before = load();
-    let mut rows = campaign(rounds, seed);
+    // `ONLY=3` kills the robot alone.
+    let only: Option<u8> = std::env::var("ONLY").ok().and_then(|text| text.parse().ok());
+    let kinds = (0..4).filter(|number| only.is_none_or(|only| only == *number));
+    let mut rows: Vec<Row> = kinds.flat_map(|number| rounds_of(number, rounds, seed)).collect();
     // Here alone: the tests that run everywhere set no limit to a time.
     for row in &mut rows {
         let slow = row.up.iter().filter(|&&up| up > RESTART.as_secs_f64() * 1e3).count();
