@@ -9,13 +9,7 @@ use std::process::Command;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-const HOLD: [&str; 5] = [
-    "backend.pace=wall-clock",
-    "excitation.starts=1",
-    "excitation.rounds=0",
-    "validation.trajectories=1",
-    "safety.max-lost=1000",
-];
+const HOLD: [&str; 2] = ["backend.pace=wall-clock", "safety.max-lost=1000"];
 /// How long the daemon holds with nobody there, and with everybody.
 const HELD: Duration = Duration::from_secs(6);
 
@@ -94,7 +88,7 @@ fn flood(place: &Place, robot: &RobotId, long: Duration) {
 /// Holds for a while with whatever `beside` starts; what it said, and its status before the end.
 fn hold<T>(test: &str, beside: impl FnOnce(&Place) -> T, during: impl FnOnce(&Place, &mut T)) -> (Done, Status) {
     let place = Place::new(test);
-    let mut daemon = Running::start(place.job("daemon", &HOLD));
+    let mut daemon = Running::start(place.job("daemon", &short(&HOLD)));
     wait_for("the loop", || place.status().filter(|status| status.cycles > 200));
     let begin = Instant::now();
     let mut others = beside(&place);
@@ -172,7 +166,7 @@ struct Pair {
 impl Pair {
     fn hold(&self, whose: Option<&Place>, long: Duration) -> Vec<f64> {
         let [mut measured, mut other] = [&self.measured, &self.other].map(|place| {
-            let daemon = Running::start(place.job("daemon", &HOLD));
+            let daemon = Running::start(place.job("daemon", &short(&HOLD)));
             wait_for("the loop", || place.status().filter(|status| status.cycles > 200));
             daemon
         });

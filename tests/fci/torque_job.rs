@@ -28,7 +28,7 @@ fn scene(name: &str) -> (Emulator, Place, Command) {
         "excitation.lead-in=0".into(),
         "excitation.starts=1".into(),
         "excitation.rounds=0".into(),
-        "validation.trajectories=1".into(),
+        "validation.trajectories=0".into(),
         "diagnosis.enabled=false".into(),
         "realtime.lock-memory=false".into(),
     ] {
@@ -38,12 +38,15 @@ fn scene(name: &str) -> (Emulator, Place, Command) {
 }
 
 #[test]
-fn a_torque_controlled_job_on_a_wall_waits_for_the_models_check_and_is_driven_to_its_end() {
+fn a_torque_controlled_job_on_a_wall_is_driven_after_the_models_check() {
     let (emulator, place, mut command) = scene("torque-job");
     command.args(["--model", "config/models/panda-paper-table3.toml"]);
     let done = Done::of(command).expect_code(0);
-    let waits = done.err.find("the start waits").unwrap_or_else(|| panic!("{}", done.output()));
-    assert!(done.err.find("the arm is mounted wall").is_some_and(|drives| waits < drives), "{}", done.output());
+    // A start that comes before the check waits for it; on a loaded machine it comes later.
+    let position = |words: &str| done.err.find(words).unwrap_or_else(|| panic!("no `{words}`: {}", done.output()));
+    let (refused, checked) = (position("is not served yet"), position("is served again"));
+    assert!(position("`start` from process") > checked || done.err.contains("the start waits"), "{}", done.output());
+    assert!(refused < checked && checked < position("the arm is mounted wall"), "{}", done.output());
     assert_eq!(emulator.snapshot().state.robot_mode, RobotMode::Idle, "{}", done.output());
     assert!(
         place.out().join("model.toml").is_file() && done.err.contains("everything was driven"),

@@ -71,6 +71,9 @@ type Files = Vec<(OsString, Vec<u8>)>;
 /// The overrides that plans may depend on.
 const PLANNED_BY: [&str; 6] = ["excitation.", "validation.", "limits.", "workspace.", "mounting=", "robot="];
 
+/// Overrides that repeat the motions of plans.
+const REPEATED_BY: [&str; 3] = ["excitation.periods=", "excitation.lead-in=", "validation.periods="];
+
 impl Place {
     pub fn new(test: &str) -> Place {
         let id = format!("test-{test}-{}", std::process::id());
@@ -80,6 +83,7 @@ impl Place {
     /// Puts the plans of a job with these overrides into the folder of the results, where another test has had them made.
     pub fn reuse_plans(&self, job: &str, sets: &[&str]) {
         let own = sets.iter().filter(|set| PLANNED_BY.iter().any(|key| set.starts_with(key)));
+        let own = own.filter(|set| !REPEATED_BY.iter().any(|key| set.starts_with(key)));
         let key = own.fold(job.to_string(), |key, set| format!("{key} {set}"));
         let plans = self.out().join("plans");
         if let Some(files) = PLANS.lock().unwrap().get(&key).filter(|_| !plans.exists()) {
