@@ -11,7 +11,6 @@ use plumbline_testkit::fuzz::files::{Bench, Files, TARGETS, Tally, case};
 use rustix::process::{Resource, Rlimit, setrlimit};
 use std::error::Error;
 use std::process::ExitCode;
-use std::time::Instant;
 
 /// Memory that no file of a few kilobytes may need \[bytes\].
 const MEMORY: u64 = 4 << 30;
@@ -30,27 +29,17 @@ fn main() -> Result<ExitCode, Box<dyn Error>> {
     std::fs::create_dir_all(&folder)?;
     let files = Files::shipped();
     let bench = Bench { files: &files, folder: &folder };
-    let end = cases.end();
-    let start = Instant::now();
     let mut tally = Tally::default();
-    let mut number = cases.first;
-    let mut wrong = None;
-    while wrong.is_none() && number < end && cases.in_time(start) {
-        let played =
-            std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| case(&bench, cases.seed, number, &mut tally)));
-        wrong = match played {
-            Ok(outcome) => outcome.err(),
-            Err(_) => Some(format!("seed {}, case {number}: panicked", cases.seed)),
-        };
-        number += 1;
-    }
+    let outcome = cases.run(|number| case(&bench, cases.seed, number, &mut tally));
     std::fs::remove_dir_all(&folder)?;
-    println!("{} cases of seed {} in {:.1} s", number - cases.first, cases.seed, start.elapsed().as_secs_f64());
     for (index, target) in TARGETS.iter().enumerate() {
         println!("{target:8} {:10} read {:10} refused", tally.read[index], tally.refused[index]);
     }
-    Ok(wrong.map_or(ExitCode::SUCCESS, |why| {
-        eprintln!("{why}");
-        ExitCode::FAILURE
-    }))
+    Ok(outcome.map_or_else(
+        |why| {
+            eprintln!("{why}");
+            ExitCode::FAILURE
+        },
+        |()| ExitCode::SUCCESS,
+    ))
 }

@@ -10,7 +10,7 @@ use plumbline_franka::wire::{MoveStatus, Protocol};
 use plumbline_franka::{RobotKind, Settings};
 use plumbline_model::Mounting;
 use plumbline_rt::cycle::End;
-use plumbline_testkit::franka_loop::{Run, drive_patiently, plan};
+use plumbline_testkit::franka_loop::{Run, drive_with_retries, plan};
 use plumbline_testkit::job::plumbline;
 use std::net::{IpAddr, SocketAddr, TcpStream};
 use std::path::{Path, PathBuf};
@@ -98,7 +98,7 @@ fn assert_ended_in_order(run: &Run, who: &str, soft: f64) {
         statistics.returning,
         statistics.unexplained_points,
     );
-    assert!(run.ended && run.outcome.end == End::Quit, "{who}: {}", run.words());
+    assert!(run.ended && run.outcome.end == End::Quit, "{who}: {}", run.describe());
     assert_eq!(run.connection.info.protocol, Protocol::V10);
     assert!(run.connection.info.limits_from_arm);
     assert!(statistics.reflex().is_empty(), "{who}: {}", statistics.reflex());
@@ -116,7 +116,7 @@ fn franka_sim_with_every_limit_enforced_takes_a_whole_excitation() {
     let address = address(1);
     command.arg(&address).arg(fr3_mjcf());
     let server = Server::start(command, &address, "franka-sim.log");
-    let run = drive_patiently(&settings(&server), &plan(0.5), Duration::from_secs(40), 8);
+    let run = drive_with_retries(&settings(&server), &plan(0.5), Duration::from_secs(40), 8);
     assert_ended_in_order(&run, "franka-sim 1.1.7", 0.05);
 }
 
@@ -128,7 +128,7 @@ fn franky_sim_takes_a_whole_excitation() {
     let address = address(2);
     command.args(["--simulator", "mujoco", "--hostname", &address]);
     let server = Server::start(command, &address, "franky-sim.log");
-    let run = drive_patiently(&settings(&server), &plan(0.5), Duration::from_secs(40), 8);
+    let run = drive_with_retries(&settings(&server), &plan(0.5), Duration::from_secs(40), 8);
     assert_ended_in_order(&run, "franky-sim 1.0.4", 0.15);
 }
 

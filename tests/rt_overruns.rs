@@ -7,7 +7,7 @@ use plumbline_rt::cycle::{End, Outcome};
 use plumbline_rt::recorder::ring;
 use plumbline_rt::{Controls, StopReason, cycle};
 use plumbline_sim::{Pace, REFLEX_COMMUNICATION};
-use plumbline_testkit::fake_arm::Trick;
+use plumbline_testkit::fake_arm::Disturbance;
 use plumbline_testkit::fake_arm::drive::{Job, Model, READY, Wave, dwell, follow, move_to, panda_limits, settings};
 use plumbline_testkit::job::{Done, Place, Running, signal, wait_for};
 use plumbline_testkit::sim::{READY as SIM_READY, silent_panda, sim};
@@ -204,7 +204,7 @@ proptest! {
             job = job.model(Model(1, |d: &Setpoint| d.q.map(|q| 4.0 * q)));
         }
         for (read, count) in losses {
-            job = job.trick(read, Trick::Lose(count));
+            job = job.disturb(read, Disturbance::Lose(count));
         }
         if let Some(read) = stop {
             job = job.outside(read, |handles| handles.controls.stop());

@@ -30,9 +30,9 @@ PROGRAMS = [
 class Emulator:
     """One emulator, on an address of its own."""
 
-    def __init__(self, program, address, protocol, library, patience):
+    def __init__(self, program, address, protocol, library, command_wait):
         command = [program, "--address", address, "--protocol", str(protocol), "--model-library", library]
-        command += ["--patience", str(patience)]
+        command += ["--command-wait", str(command_wait)]
         self.address = address
         self.log = tempfile.TemporaryFile("w+")
         self.process = subprocess.Popen(command, stdin=subprocess.PIPE, stderr=self.log, text=True)
@@ -128,7 +128,7 @@ def main():
     arguments.add_argument("--venvs", required=True, help="folder of the environments, venv-NAME each")
     arguments.add_argument("--table", help="Markdown file whose part between the two marks is replaced")
     arguments.add_argument("--only", help="part of a program's name")
-    arguments.add_argument("--patience", type=int, default=0)
+    arguments.add_argument("--command-wait", type=int, default=0)
     options = arguments.parse_args()
     results = []
     for number, program in enumerate(PROGRAMS):
@@ -139,7 +139,7 @@ def main():
         other = 10 if protocol != 10 else 9
         python = f"{Path(options.venvs).absolute()}/venv-{venv}/bin/python"
         served = [
-            Emulator(options.emulator, f"127.0.42.{2 * number + k + 1}", version, options.library, options.patience)
+            Emulator(options.emulator, f"127.0.42.{2 * number + k + 1}", version, options.library, options.command_wait)
             for k, version in enumerate([protocol, other])
         ]
         try:

@@ -11,7 +11,7 @@ import time
 
 ADDRESS = sys.argv[1]
 OTHER = sys.argv[2] if len(sys.argv) > 2 else None
-# How long a stall is that no robot forgives: the emulator's patience may make it longer.
+# How long a stall is that no robot forgives: the emulator's command wait may make it longer.
 STALL = float(os.environ.get("FCI_STALL", "0.06"))
 # This is no real-time machine: lost commands are its fault, and end a motion rightly. Then the exercise is tried again.
 TRIES = int(os.environ.get("FCI_TRIES", "8"))

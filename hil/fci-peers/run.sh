@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Clients of other origin against the emulator of Franka's control interface, and what each of them did, into docs/results/franka-clients.md.
 #
-#   hil/fci-peers/run.sh [--only PART-OF-A-NAME] [--patience MS]
+#   hil/fci-peers/run.sh [--only PART-OF-A-NAME] [--command-wait MS]
 #
 # Needs cargo, a C compiler, python3 with venv, and a package index that pip reaches. FCI_EMULATOR names a built emulator; otherwise
 # one is built. With --only the table is left as it is. Exit code 1 where a cell says that something failed.

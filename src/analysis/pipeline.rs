@@ -26,7 +26,7 @@ pub struct Judged {
 
 /// Default terms beside the rigid body: motor-side torques contain rotor inertia, and every
 /// torque sensor has an offset.
-pub fn usual_terms(robot: &Robot) -> Vec<&'static str> {
+pub fn default_terms(robot: &Robot) -> Vec<&'static str> {
     match robot.torque_sensing {
         TorqueSensing::Link => vec!["friction", "torque-offset"],
         TorqueSensing::Motor => vec!["friction", "torque-offset", "rotor-inertia"],
@@ -35,7 +35,7 @@ pub fn usual_terms(robot: &Robot) -> Vec<&'static str> {
 
 /// Default terms of a diagnosis, which reports an offset as an effect.
 pub fn plain_terms(robot: &Robot) -> Vec<&'static str> {
-    usual_terms(robot).into_iter().filter(|id| *id != torque_offset::ID).collect()
+    default_terms(robot).into_iter().filter(|id| *id != torque_offset::ID).collect()
 }
 
 pub fn measured_velocities(option: &str) -> Result<bool, BadInput> {

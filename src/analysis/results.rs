@@ -284,7 +284,6 @@ fn usage(motion: &Motion) -> Option<MotionUsage> {
 fn validation(run: &Run, judged: &Judged) -> Validation {
     Validation {
         run: run.data.name.clone(),
-        rms: judged.rms.raw.clone(),
         rms_raw: judged.rms.raw.clone(),
         rms_filtered: judged.rms.filtered.clone(),
         served_rms: SERVED_TORQUES.of(run).map(|served| {
@@ -310,11 +309,7 @@ pub fn report_of(identified: &Identified, mounting: Mounting, provenance: &Prove
         robot: identified.model.robot().to_string(),
         mounting: mounting.into(),
         base: Base::of(&identified.model).with_intervals(&identification.interval_95()),
-        identify: Fit {
-            rms: identification.rms.raw.clone(),
-            rms_raw: identification.rms.raw.clone(),
-            rms_filtered: identification.rms.filtered.clone(),
-        },
+        identify: Fit { rms_raw: identification.rms.raw.clone(), rms_filtered: identification.rms.filtered.clone() },
         noise_floor: identification.rms.noise_floor.clone().unwrap_or_default(),
         identifiability: Identifiability {
             not_identifiable: identification.undetermined.iter().map(|one| one.name.clone()).collect(),

@@ -107,7 +107,6 @@ pub fn run(options: Options) -> Result<(), Failure> {
             .zip(&errors_after)
             .map(|(run, rms)| Validation {
                 run: run.data.name.clone(),
-                rms: rms.filtered.clone(),
                 rms_raw: rms.raw.clone(),
                 rms_filtered: rms.filtered.clone(),
                 served_rms: None,

@@ -125,14 +125,12 @@ impl Outcome<'_> {
         let Outcome { robot, identified, runs, judged, mounting, hash, settings } = self;
         let provenance = crate::analysis::provenance(robot, Some(hash));
         let mut report = report_of(&identified, mounting, &provenance);
-        // Recorded data is rarely periodic, so raw samples have no noise floor: `rms` is that of the filtered band.
+        // Recorded data is rarely periodic, so raw samples have no noise floor.
         report.band = Band::Filtered { cutoff: settings.torque_cutoff };
-        report.identify.rms.clone_from(&report.identify.rms_filtered);
         report.validate = judged
             .iter()
             .map(|(run, judged)| Validation {
                 run: run.data.name.clone(),
-                rms: judged.rms.filtered.clone(),
                 rms_raw: judged.rms.raw.clone(),
                 rms_filtered: judged.rms.filtered.clone(),
                 served_rms: None,
@@ -237,7 +235,7 @@ pub(super) fn solver(options: &Options) -> Result<solve::Options, Failure> {
 }
 
 pub(super) fn terms<'a>(options: &'a Options, robot: &Robot) -> Result<Vec<&'a str>, Failure> {
-    let Some(named) = &options.terms else { return Ok(pipeline::usual_terms(robot)) };
+    let Some(named) = &options.terms else { return Ok(pipeline::default_terms(robot)) };
     let known = &plumbline_model::term::KNOWN[1..];
     for name in named {
         if !known.contains(&name.as_str()) {

@@ -28,7 +28,7 @@ pub(super) fn render(report: &Report, figures: &Figures) -> io::Result<String> {
         conditions => conditions(report),
         groups => tables(report),
         identify => fit(report),
-        joints => report.identify.rms.len(),
+        joints => report.identify.rms_raw.len(),
         counter => counter(report),
         parameters => parameters(report),
         counts => summary::counts(&report.base),
@@ -157,7 +157,7 @@ fn tables(report: &Report) -> Vec<Value> {
         let extra = extra_columns(report, group);
         let row = |j: usize| {
             let of = |values: &[f64]| values.get(j).map_or(String::new(), |value| number(*value));
-            let cells: Vec<_> = group.runs.iter().map(|run| of(&run.rms)).collect();
+            let cells: Vec<_> = group.runs.iter().map(|run| of(run.rms(&group.band))).collect();
             let extra: Vec<_> = extra.iter().map(|(_, values)| of(values)).collect();
             context! { joint => j + 1, cells, mean => number(average[j]), extra }
         };
@@ -168,7 +168,7 @@ fn tables(report: &Report) -> Vec<Value> {
             names => names.iter().map(|name| name.to_string()).collect::<Vec<_>>(),
             extra => extra.iter().map(|(name, _)| *name).collect::<Vec<_>>(),
             rows => (0..average.len()).map(row).collect::<Vec<_>>(),
-            means => group.runs.iter().map(|run| number(mean(&run.rms))).collect::<Vec<_>>(),
+            means => group.runs.iter().map(|run| number(mean(run.rms(&group.band)))).collect::<Vec<_>>(),
             mean => number(mean(&average)),
             extra_means => extra.iter().map(|(_, values)| number(mean(values))).collect::<Vec<_>>(),
         }
@@ -191,7 +191,7 @@ fn fit(report: &Report) -> Vec<Value> {
     let after = summary::band(report);
     let fit = &report.identify;
     let judged = if after.is_empty() { "RMS / Nm".to_string() } else { format!("RMS / Nm, {after}") };
-    let mut rows = vec![(judged, &fit.rms)];
+    let mut rows = vec![(judged, fit.rms(&report.band))];
     match report.band {
         Band::Raw => rows.push(("RMS / Nm, filtered mean period".to_string(), &fit.rms_filtered)),
         Band::Filtered { .. } => rows.push(("RMS / Nm, raw samples".to_string(), &fit.rms_raw)),

@@ -32,7 +32,7 @@ pub struct Report {
     pub base: Base,
     pub identify: Fit,
     pub validate: Vec<Validation>,
-    /// Frequency band of `rms`, in `validate` and `identify`.
+    /// Frequency band in which errors are judged: `rms_raw` or `rms_filtered` of `validate` and `identify`.
     #[serde(default)]
     pub band: Band,
     /// Errors of the vertical base set in a mounting where it is not valid.
@@ -154,7 +154,6 @@ impl Base {
             value: parameter.value,
             std: parameter.std,
             interval_95: None,
-            relative_std: parameter.std.map(|std| std / parameter.value.abs()).filter(|ratio| ratio.is_finite()),
             unit: parameter.column.unit.to_string(),
         };
         let parameters: Vec<ParameterFacts> = parameters.iter().map(facts).collect();
@@ -176,9 +175,6 @@ pub struct ParameterFacts {
     /// 95 % confidence interval where known, in `unit`: from, to.
     #[serde(default)]
     pub interval_95: Option<[f64; 2]>,
-    /// Standard deviation over size, where both are known and the value is not zero.
-    #[serde(default)]
-    pub relative_std: Option<f64>,
     pub unit: String,
 }
 
@@ -199,31 +195,44 @@ pub struct CounterExperiment {
 
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Fit {
-    /// RMS of measured minus modelled torque in the report's band, per joint \[Nm\].
-    pub rms: Vec<f64>,
-    /// RMS of raw samples \[Nm\].
-    #[serde(default)]
+    /// RMS of measured minus modelled torque per joint, raw samples \[Nm\].
     pub rms_raw: Vec<f64>,
-    /// RMS after the low-pass \[Nm\].
-    #[serde(default)]
+    /// The same after the low-pass \[Nm\].
     pub rms_filtered: Vec<f64>,
+}
+
+impl Fit {
+    /// The RMS in the band in which a report judges \[Nm\].
+    pub fn rms(&self, band: &Band) -> &Vec<f64> {
+        in_band(band, &self.rms_raw, &self.rms_filtered)
+    }
+}
+
+fn in_band<'r>(band: &Band, raw: &'r Vec<f64>, filtered: &'r Vec<f64>) -> &'r Vec<f64> {
+    match band {
+        Band::Raw => raw,
+        Band::Filtered { .. } => filtered,
+    }
 }
 
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Validation {
     pub run: String,
-    /// RMS of measured minus predicted torque in the report's band, per joint \[Nm\].
-    pub rms: Vec<f64>,
-    /// RMS of raw samples \[Nm\].
-    #[serde(default)]
+    /// RMS of measured minus predicted torque per joint, raw samples \[Nm\].
     pub rms_raw: Vec<f64>,
-    /// RMS after the low-pass \[Nm\].
-    #[serde(default)]
+    /// The same after the low-pass \[Nm\].
     pub rms_filtered: Vec<f64>,
     /// RMS of measured torque minus the feed-forward that was served while the arm moved \[Nm\].
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub served_rms: Option<Vec<f64>>,
     pub mounting: MountingFacts,
+}
+
+impl Validation {
+    /// The RMS in the band in which a report judges \[Nm\].
+    pub fn rms(&self, band: &Band) -> &Vec<f64> {
+        in_band(band, &self.rms_raw, &self.rms_filtered)
+    }
 }
 
 /// Parameters and runs that the data does not determine.

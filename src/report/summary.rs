@@ -8,6 +8,7 @@ pub(super) const CHANGED: f64 = 0.05;
 /// Runs of one mounting, in the order of the report.
 pub(super) struct Group<'r> {
     pub mounting: &'r str,
+    pub band: Band,
     pub runs: Vec<&'r Validation>,
 }
 
@@ -16,7 +17,7 @@ pub(super) fn groups(report: &Report) -> Vec<Group<'_>> {
     for run in &report.validate {
         match groups.iter_mut().find(|group| group.mounting == run.mounting.name) {
             Some(group) => group.runs.push(run),
-            None => groups.push(Group { mounting: &run.mounting.name, runs: vec![run] }),
+            None => groups.push(Group { mounting: &run.mounting.name, band: report.band, runs: vec![run] }),
         }
     }
     groups
@@ -25,7 +26,7 @@ pub(super) fn groups(report: &Report) -> Vec<Group<'_>> {
 impl Group<'_> {
     /// Mean over the runs, per joint, in the report's band.
     pub fn per_joint(&self) -> Vec<f64> {
-        self.mean_of(|run| Some(&run.rms))
+        self.mean_of(|run| Some(run.rms(&self.band)))
     }
 
     /// The same for raw samples; empty if the report has none.
@@ -149,9 +150,9 @@ fn errors(report: &Report, lines: &mut Vec<String>) {
     }
     let filtered = band(report);
     let after = if filtered.is_empty() { String::new() } else { format!(" {filtered}") };
-    if !report.identify.rms.is_empty() {
-        let (rms, raw) = (&report.identify.rms, &report.identify.rms_raw);
-        let relative = if filtered.is_empty() { against(raw) } else { String::new() };
+    let rms = report.identify.rms(&report.band);
+    if !rms.is_empty() {
+        let relative = if filtered.is_empty() { against(rms) } else { String::new() };
         lines.push(format!("RMS of the fit [Nm]{after}: {}{relative}", row(rms)));
     }
     for group in groups(report) {

@@ -26,7 +26,7 @@ pub const ARMS: [&str; 4] = ["sim-fast", "sim-wall-clock", "franka-panda", "fran
 /// In the middle of a run \[reads\].
 const MIDDLE: u64 = 700;
 /// Long enough for a loaded machine.
-const PATIENCE: Duration = Duration::from_secs(60);
+const TIMEOUT: Duration = Duration::from_secs(60);
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Seal {
@@ -212,8 +212,8 @@ pub fn run(name: &str, seal: Seal) -> Result<Outcome, Interrupted> {
             let (protocol, robot) =
                 if name == "franka-fr3" { (Protocol::V10, RobotKind::Fr3) } else { (Protocol::V5, RobotKind::Panda) };
             let address = emulator::address();
-            let patience = Duration::from_millis(200);
-            let emulated = emulator::Settings { patience, ..emulator::Settings::new(address, protocol) };
+            let command_wait = Duration::from_millis(200);
+            let emulated = emulator::Settings { command_wait, ..emulator::Settings::new(address, protocol) };
             let _emulator = emulator::Emulator::start(emulated).unwrap();
             let (arm, connection) =
                 plumbline_franka::connect(&plumbline_franka::Settings::new(address, robot)).unwrap();
@@ -251,7 +251,7 @@ fn whole<B: Backend + 'static>(
     let mut pose = None;
     let mut step = 0;
     while !looping.is_finished() && !stopped.load(Ordering::Acquire) {
-        assert!(begin.elapsed() < PATIENCE, "{name}: stuck at step {step}");
+        assert!(begin.elapsed() < TIMEOUT, "{name}: stuck at step {step}");
         consume(&mut drain, gate.as_deref(), &mut pose);
         let Some(at) = pose else { continue };
         let wave = |q0| Wave { q0, amplitude: Wave::gentle().amplitude.map(|a| 0.5 * a), ..Wave::gentle() };

@@ -28,7 +28,7 @@ impl Daemon {
     fn into_motion(self, place: &Place) -> Daemon {
         wait_for("the daemon", || place.status());
         place.command("start").expect_code(0);
-        place.await_excitation();
+        place.await_motion();
         self
     }
 
@@ -77,7 +77,7 @@ fn drain(mut pipe: PipeReader) -> std::thread::JoinHandle<String> {
 fn drives_on(place: &Place) {
     let robot = RobotId::parse("test", "robot", &place.id).unwrap();
     // Each of these is a line of the log.
-    let mut stream = SampleStream::connect(&robot, StreamSettings::default(), PATIENCE).unwrap();
+    let mut stream = SampleStream::connect(&robot, StreamSettings::default(), TIMEOUT).unwrap();
     let begin = place.status().expect("an answer").cycles;
     let mut received = 0;
     for _ in 0..10 {

@@ -6,15 +6,16 @@ use plumbline_testkit::peers;
 use std::path::Path;
 
 /// A few seconds of motion. How late a cycle may come is the machine's business, not this test's: no loss stops the arm.
-const JOB: [&str; 9] = [
+const JOB: [&str; 10] = [
     "backend.pace=wall-clock",
     "excitation.period=2 s",
     "excitation.periods=3",
     "excitation.starts=1",
     "excitation.rounds=0",
-    "validation.trajectories=3",
+    "validation.trajectories=2",
     "validation.mountings=[\"wall\"]",
     "output.dataset=false",
+    "diagnosis.enabled=false",
     "safety.max-lost=1000",
 ];
 
@@ -103,7 +104,7 @@ fn every_millisecond_is_accounted_for_and_clients_follow() {
     // Held until told to start, which may be at once, then driven for as long as the motions take; each of its milliseconds was either a cycle or is counted as lost.
     assert_eq!(cycle.sessions.len(), 2);
     let driven = &cycle.sessions[1].statistics;
-    assert!(driven.elapsed > 14_000 && driven.wake_up.count > 0, "{driven:?}");
+    assert!(driven.elapsed > 10_000 && driven.wake_up.count > 0, "{driven:?}");
     for session in cycle.sessions.iter().map(|session| &session.statistics) {
         // By two clocks: the arm's counter and this machine's own.
         assert!(session.accounted(), "{session:?}");

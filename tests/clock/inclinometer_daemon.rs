@@ -142,7 +142,7 @@ fn becomes(place: &Place, what: &str, is: impl Fn(&Gravity) -> bool) -> Gravity 
 
 fn values(place: &Place) -> FeedForwardClient {
     let id = RobotId::parse("test", "id", &place.id).unwrap();
-    FeedForwardClient::connect(&id, FeedForwardSettings::default(), PATIENCE).unwrap()
+    FeedForwardClient::connect(&id, FeedForwardSettings::default(), TIMEOUT).unwrap()
 }
 
 fn latest(client: &mut FeedForwardClient) -> FeedForwardMessage {

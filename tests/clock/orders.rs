@@ -26,11 +26,11 @@ fn resume_while_braking_is_refused_and_works_at_rest() {
     let place = Place::new("resume");
     let daemon = place.daemon(&short(&LONG_ON_CLOCK));
     place.command("start").expect_code(0);
-    place.await_excitation();
+    place.await_motion();
     std::thread::sleep(Duration::from_millis(600));
     let robot = RobotId::parse("test", "robot", &place.id).unwrap();
-    let mut client = Client::connect(&robot, PATIENCE).unwrap();
-    let mut ask = |request: &Request| client.send(request, PATIENCE).unwrap();
+    let mut client = Client::connect(&robot, TIMEOUT).unwrap();
+    let mut ask = |request: &Request| client.send(request, TIMEOUT).unwrap();
     assert_eq!(ask(&Request::Stop {}), Response::Accepted {});
     let mut refused = 0;
     let resumed = wait_for("the rest", || match ask(&Request::Resume {}) {
@@ -68,12 +68,12 @@ fn an_order_with_a_model_is_logged_by_its_own_name() {
     let place = Place::new("orders-model");
     let daemon = place.daemon(&short(&LONG_ON_CLOCK));
     let robot = RobotId::parse("test", "robot", &place.id).unwrap();
-    let mut client = Client::connect(&robot, PATIENCE).unwrap();
+    let mut client = Client::connect(&robot, TIMEOUT).unwrap();
     let toml = std::fs::read_to_string("config/models/panda-paper-table3.toml").unwrap();
     // One identity each: a proposed model is held until somebody adopts it.
     let proposed = Request::ProposeModel { toml: format!("{toml}\n# another\n"), proposal: Proposal::default() };
     for (request, name) in [(Request::OfferModel { toml }, "offer-model"), (proposed, "propose-model")] {
-        let answer = client.send(&request, PATIENCE).unwrap();
+        let answer = client.send(&request, TIMEOUT).unwrap();
         assert!(
             matches!(answer, Response::ModelAccepted { .. } | Response::ModelHeld { .. }),
             "{name} was answered with {answer:?}"

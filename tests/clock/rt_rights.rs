@@ -5,13 +5,7 @@ use plumbline_testkit::job::*;
 use std::collections::BTreeMap;
 
 /// A daemon that holds its arm at the pace of the clock. How late a cycle may come is this machine's business.
-const HOLD: [&str; 5] = [
-    "backend.pace=wall-clock",
-    "excitation.starts=1",
-    "excitation.rounds=0",
-    "validation.trajectories=1",
-    "safety.max-lost=1000",
-];
+const HOLD: [&str; 2] = ["backend.pace=wall-clock", "safety.max-lost=1000"];
 
 /// A processor that no machine has.
 const NO_CPU: &str = "realtime.cpu=1000";
@@ -39,7 +33,7 @@ const SCHED_FIFO: u32 = 1;
 #[test]
 fn only_loop_stop_listener_and_bridge_are_real_time_and_the_daemon_says_what_it_lacks() {
     let place = Place::new("rights");
-    let daemon = Running::start(place.job("daemon", &HOLD));
+    let daemon = Running::start(place.job("daemon", &short(&HOLD)));
     let running = wait_for("the loop", || place.status().filter(|status| status.cycles > 200));
     // A client has come and gone by now, and the programme is planned: every helper that there will be has been there.
     let threads = threads(daemon.pid());
@@ -74,14 +68,14 @@ fn only_loop_stop_listener_and_bridge_are_real_time_and_the_daemon_says_what_it_
 fn a_refusal_is_run_with_and_said_or_refused_as_the_job_says() {
     // Degraded: it runs, and says what it lacks while it runs.
     let place = Place::new("degraded");
-    let daemon = Running::start(place.job("daemon", &[&HOLD[..], &[NO_CPU]].concat()));
+    let daemon = Running::start(place.job("daemon", &short(&[&HOLD[..], &[NO_CPU]].concat())));
     let running = wait_for("the loop", || place.status().filter(|status| status.cycles > 100));
     assert!(running.degraded.iter().any(|line| line.contains("CPU 1000")), "{:?}", running.degraded);
     quit(&place, daemon);
 
     // Refused: nothing is driven, and the message names the right that is missing and the key that wants it.
     let place = Place::new("refused");
-    let done = Done::of(place.job("daemon", &[&HOLD[..], &[NO_CPU, "realtime.on-refusal=refuse"]].concat()));
+    let done = Done::of(place.job("daemon", &short(&[&HOLD[..], &[NO_CPU, "realtime.on-refusal=refuse"]].concat())));
     let done = done.expect_code(1);
     assert!(done.err.contains("CPU 1000") && done.err.contains("realtime.on-refusal"), "{}", done.output());
 
@@ -93,7 +87,7 @@ fn a_refusal_is_run_with_and_said_or_refused_as_the_job_says() {
         "realtime.preempt-rt=false",
         "realtime.on-refusal=refuse",
     ];
-    let daemon = Running::start(place.job("daemon", &[&HOLD[..], &nothing].concat()));
+    let daemon = Running::start(place.job("daemon", &short(&[&HOLD[..], &nothing].concat())));
     let running = wait_for("the loop", || place.status().filter(|status| status.cycles > 100));
     assert_eq!(running.degraded, Vec::<String>::new());
     quit(&place, daemon);

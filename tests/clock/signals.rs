@@ -44,9 +44,9 @@ fn fastest(record: &Record) -> f64 {
     record.command.desired.dq.iter().fold(0.0, |fastest: f64, dq| fastest.max(dq.abs()))
 }
 
-/// The arm is well under way: somewhere in the excitation, at some speed.
+/// The arm is well under way, at some speed.
 fn in_motion(place: &Place) {
-    place.await_excitation();
+    place.await_motion();
     std::thread::sleep(Duration::from_millis(600));
 }
 

@@ -44,8 +44,8 @@ impl Scene {
         let daemon = Running::start(place.job("daemon", &short(&HELD)));
         wait_for("the loop", || place.status().filter(|now| now.cycles > 100));
         let robot = RobotId::parse("test", "robot", &place.id).unwrap();
-        let operator = Client::connect_operator(&robot, PATIENCE).unwrap();
-        let samples = SampleStream::connect(&robot, StreamSettings::default(), PATIENCE).unwrap();
+        let operator = Client::connect_operator(&robot, TIMEOUT).unwrap();
+        let samples = SampleStream::connect(&robot, StreamSettings::default(), TIMEOUT).unwrap();
         Scene { place, daemon: Some(daemon), operator, samples }
     }
 
@@ -173,7 +173,7 @@ impl Flood {
         let one = |patience: Duration| {
             let (robot, over, count, offer) = (robot.clone(), end.clone(), sent.clone(), offer.clone());
             std::thread::spawn(move || {
-                let mut client = Client::connect(&robot, PATIENCE).unwrap();
+                let mut client = Client::connect(&robot, TIMEOUT).unwrap();
                 while !over.load(Ordering::Relaxed) {
                     let _ = client.send_bytes(&offer, patience);
                     count.fetch_add(1, Ordering::Relaxed);
@@ -216,14 +216,14 @@ fn clients_that_take_every_place_keep_no_stop_from_the_daemon() {
     let mut scene = Scene::new("places");
     let robot = scene.robot();
     // Programs leave the last places to operators, and are told who has the others.
-    let mut idle: Vec<Client> = (0..11).map(|_| Client::connect(&robot, PATIENCE).unwrap()).collect();
+    let mut idle: Vec<Client> = (0..11).map(|_| Client::connect(&robot, TIMEOUT).unwrap()).collect();
     let refused = Client::connect(&robot, Duration::from_millis(20)).err().unwrap();
     let words = refused.to_string();
     assert!(matches!(refused, IpcError::Full { .. }), "{words}");
     assert!(words.contains(&format!("process {} has 12", std::process::id())), "{words}");
     scene.place.command("status").expect_code(0);
     // Whoever does not leave them takes them all.
-    idle.extend((0..4).map(|_| Client::connect_operator(&robot, PATIENCE).unwrap()));
+    idle.extend((0..4).map(|_| Client::connect_operator(&robot, TIMEOUT).unwrap()));
     let status = scene.place.command("status").expect_code(1);
     assert!(status.err.contains(&format!("process {} has 16", std::process::id())), "{}", status.output());
     scene.drive();

@@ -9,13 +9,7 @@ use std::process::Command;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-const HOLD: [&str; 5] = [
-    "backend.pace=wall-clock",
-    "excitation.starts=1",
-    "excitation.rounds=0",
-    "validation.trajectories=1",
-    "safety.max-lost=1000",
-];
+const HOLD: [&str; 2] = ["backend.pace=wall-clock", "safety.max-lost=1000"];
 /// How long the daemon holds with nobody there, and with everybody.
 const HELD: Duration = Duration::from_secs(6);
 
@@ -67,9 +61,9 @@ fn flood(place: &Place, robot: &RobotId, long: Duration) {
     std::thread::scope(|scope| {
         for _ in 0..11 {
             scope.spawn(|| {
-                let mut client = Client::connect(robot, PATIENCE).unwrap();
+                let mut client = Client::connect(robot, TIMEOUT).unwrap();
                 while !over.load(Ordering::Relaxed) {
-                    let _ = client.send_bytes(&bytes, PATIENCE);
+                    let _ = client.send_bytes(&bytes, TIMEOUT);
                 }
             });
         }
@@ -94,7 +88,7 @@ fn flood(place: &Place, robot: &RobotId, long: Duration) {
 /// Holds for a while with whatever `beside` starts; what it said, and its status before the end.
 fn hold<T>(test: &str, beside: impl FnOnce(&Place) -> T, during: impl FnOnce(&Place, &mut T)) -> (Done, Status) {
     let place = Place::new(test);
-    let mut daemon = Running::start(place.job("daemon", &HOLD));
+    let mut daemon = Running::start(place.job("daemon", &short(&HOLD)));
     wait_for("the loop", || place.status().filter(|status| status.cycles > 200));
     let begin = Instant::now();
     let mut others = beside(&place);
@@ -132,7 +126,7 @@ fn sixteen_clients_of_which_some_are_slow_dead_or_hostile_cost_the_loop_nothing(
 /// Sends requests that are none, and waits for no answer.
 fn babble(robot: &RobotId, long: Duration) {
     let begin = Instant::now();
-    let mut client = Client::connect(robot, PATIENCE).unwrap();
+    let mut client = Client::connect(robot, TIMEOUT).unwrap();
     let mut sent = 0_u64;
     while begin.elapsed() < long {
         // Whatever becomes of it: the daemon is busy with the nonsense before.
@@ -172,7 +166,7 @@ struct Pair {
 impl Pair {
     fn hold(&self, whose: Option<&Place>, long: Duration) -> Vec<f64> {
         let [mut measured, mut other] = [&self.measured, &self.other].map(|place| {
-            let daemon = Running::start(place.job("daemon", &HOLD));
+            let daemon = Running::start(place.job("daemon", &short(&HOLD)));
             wait_for("the loop", || place.status().filter(|status| status.cycles > 200));
             daemon
         });

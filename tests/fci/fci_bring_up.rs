@@ -22,7 +22,7 @@ fn scene() -> Scene {
     // A test machine stalls now and then: this robot's time waits for it.
     let emulated = Emulated {
         mounting: Mounting::WALL,
-        patience: Duration::from_millis(20),
+        command_wait: Duration::from_millis(20),
         ..Emulated::new(address, Protocol::V5)
     };
     let folder = tempfile::tempdir().unwrap();
@@ -102,8 +102,9 @@ fn gravity_agrees_with_the_true_mounting_and_contradicts_another() {
 #[test]
 fn the_slow_step_drives_a_small_excitation_to_its_end() {
     let scene = scene();
-    // Half the usual length: two periods of 5 s.
-    let more = [THERE, "--set", "excitation.period=5 s", "--set", "realtime.lock-memory=false"];
+    // Less than half the usual length: two periods of 4 s of a coarse search.
+    let sets = ["excitation.period=4 s", "excitation.starts=1", "excitation.rounds=0", "realtime.lock-memory=false"];
+    let more: Vec<&str> = [THERE].into_iter().chain(sets.into_iter().flat_map(|set| ["--set", set])).collect();
     let Step::Slow(given) = scene.step("slow", &more) else { unreachable!() };
     let verdict = excitation::slow(&scene.load(&given), &given).unwrap();
     assert!(passed(&verdict), "{verdict}");

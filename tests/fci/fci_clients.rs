@@ -1,7 +1,7 @@
 //! Clients of other origin, libfranka 0.9 and 0.21 in Python, believe the emulator. More of them: `hil/fci-peers/run.sh`.
 
 use plumbline_franka::wire::Protocol;
-use plumbline_testkit::emulator::{Emulator, Fault, Hand, Settings, address};
+use plumbline_testkit::emulator::{Emulator, Fault, OperatorAction, Settings, address};
 use plumbline_testkit::peers;
 use serde::Deserialize;
 use std::io::{BufRead, BufReader, Read};
@@ -10,7 +10,7 @@ use std::process::{Command, Stdio};
 use std::time::Duration;
 
 /// How long the emulator waits for a command: a test must not fail because the machine stalls.
-const PATIENCE: Duration = Duration::from_millis(5);
+const COMMAND_WAIT: Duration = Duration::from_millis(5);
 const STALL: &str = "0.4";
 
 /// One exercise, as the program reports it.
@@ -26,7 +26,7 @@ fn peers_dir() -> PathBuf {
 }
 
 fn settings(protocol: Protocol, library: Option<Vec<u8>>) -> Settings {
-    Settings { patience: PATIENCE, model_library: library, ..Settings::new(address(), protocol) }
+    Settings { command_wait: COMMAND_WAIT, model_library: library, ..Settings::new(address(), protocol) }
 }
 
 /// The model library for clients before version 8.
@@ -43,8 +43,8 @@ fn library() -> Vec<u8> {
 /// What a program asks the operator or the network for.
 fn obey(emulator: &Emulator, order: &str) {
     match order.split_once(' ').unwrap_or((order, "")) {
-        ("user-stop", "") => emulator.hand(Hand::UserStop),
-        ("release", "") => emulator.hand(Hand::Release),
+        ("user-stop", "") => emulator.operate(OperatorAction::UserStop),
+        ("release", "") => emulator.operate(OperatorAction::Release),
         ("fault", text) => emulator.fault(text.parse::<Fault>().unwrap_or_else(|error| panic!("{error}"))),
         _ => panic!("`{order}`"),
     }

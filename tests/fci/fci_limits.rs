@@ -38,8 +38,8 @@ impl Scene {
     fn new(name: &str, limits: Option<Limits>, start: [f64; JOINTS]) -> Scene {
         let address = address();
         // A loaded test machine stalls the daemon: the robot's time waits for its commands.
-        let patience = Duration::from_millis(500);
-        let settings = Settings { limits, start, patience, ..Settings::new(address, Protocol::V10) };
+        let command_wait = Duration::from_millis(500);
+        let settings = Settings { limits, start, command_wait, ..Settings::new(address, Protocol::V10) };
         let emulator = Emulator::start(settings.clone()).unwrap_or_else(|error| panic!("{error}"));
         Scene { place: Place::new(name), address, settings, emulator: Some(emulator) }
     }

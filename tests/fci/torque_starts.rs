@@ -107,8 +107,8 @@ fn start(settings: &Settings, mounting: &Mounting) -> Start {
 fn arm(mounting: Mounting) -> (Emulator, Settings) {
     let address = address();
     // The robot's time waits for this machine: what is measured is torque.
-    let patience = Duration::from_millis(200);
-    let emulated = Emulated { mounting, patience, ..Emulated::new(address, Protocol::V5) };
+    let command_wait = Duration::from_millis(200);
+    let emulated = Emulated { mounting, command_wait, ..Emulated::new(address, Protocol::V5) };
     let settings = Settings {
         interface: Interface::Torque,
         state_timeout: Duration::from_secs(1),

@@ -16,7 +16,7 @@ use plumbline_excite::{Fourier, PeriodicMotion};
 use plumbline_rt::cycle::End;
 use plumbline_rt::{Event, Handles, Order, OrderKind, StopReason};
 use plumbline_testkit::fake_arm::drive::{Job, Model, READY, Run, settings};
-use plumbline_testkit::fake_arm::{FakeArm, Trick};
+use plumbline_testkit::fake_arm::{Disturbance, FakeArm};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -156,13 +156,9 @@ fn recording(of: &RecordedRun, first: u64, lose: Option<u64>) -> Recording {
         return written;
     }
     let read = Recording::parse("memory", &written.to_bytes().unwrap()).unwrap();
-    // Compared as text, because NaN is unequal to itself.
-    assert_eq!(format!("{:?}", (&read.about, &read.events)), format!("{:?}", (&written.about, &written.events)));
+    assert_same(&(&read.about, &read.events), &(&written.about, &written.events));
     for (a, b) in read.records.iter().zip(&written.records) {
-        assert_eq!(
-            format!("{:?} {:?} {:?}", a.state, a.command, a.tick),
-            format!("{:?} {:?} {:?}", b.state, b.command, b.tick)
-        );
+        assert_same(&(a.state, a.command, a.tick), &(b.state, b.command, b.tick));
         assert_eq!(
             (a.cycle, a.phase, a.motion, a.model, a.validity),
             (b.cycle, b.phase, b.motion, b.model, b.validity)
@@ -172,6 +168,14 @@ fn recording(of: &RecordedRun, first: u64, lose: Option<u64>) -> Recording {
     assert_eq!((read.records.len(), read.texts.len()), (written.records.len(), 1));
     assert_eq!(read.unanswered.map(|one| one.cycle), written.unanswered.map(|one| one.cycle));
     read
+}
+
+/// Equal, or equal as text: NaN is unequal to itself.
+#[track_caller]
+fn assert_same<T: PartialEq + std::fmt::Debug>(a: &T, b: &T) {
+    if a != b {
+        assert_eq!(format!("{a:?}"), format!("{b:?}"));
+    }
 }
 
 fn replay_of(recording: &Recording) -> Result<ReplayResult, ReplayError> {
@@ -185,7 +189,7 @@ fn assert_replays_identically(of: &RecordedRun) {
     let cycles = of.run.records.len() as u64;
     let mut rng = ChaCha8Rng::seed_from_u64(cycles);
     let mut firsts = vec![0, 1, 3, cycles - 5];
-    firsts.extend((0..8).map(|_| rng.random_range(0..cycles - 4)));
+    firsts.extend((0..4).map(|_| rng.random_range(0..cycles - 4)));
     // Around every event.
     firsts.extend(of.run.timed.iter().flat_map(|timed| [0, 1, 4].map(|back| (timed.cycle + 1).saturating_sub(back))));
     for first in firsts.into_iter().filter(|first| *first + 4 < cycles) {

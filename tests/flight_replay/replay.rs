@@ -5,7 +5,10 @@ use plumbline::postmortem::facts::Facts;
 
 #[test]
 fn a_whole_job_with_models_and_lost_states() {
-    let arm = FakeArm::new(JOINTS, READY).at(500, Trick::Lose(3)).at(4_000, Trick::Lose(9)).at(4_003, Trick::Lose(1));
+    let arm = FakeArm::new(JOINTS, READY)
+        .at(500, Disturbance::Lose(3))
+        .at(4_000, Disturbance::Lose(9))
+        .at(4_003, Disturbance::Lose(1));
     let swap: Action = |handles| assert!(handles.models.serve(model(2)).is_ok());
     let of = run_loop(arm, 12_000, whole_job(), vec![1], (Vec::new(), vec![2]), vec![(3_900, swap)]);
     assert_eq!((of.run.outcome.end, of.run.outcome.stops), (End::Quit, 0));
@@ -16,7 +19,7 @@ fn a_whole_job_with_models_and_lost_states() {
 #[test]
 fn guard_stop_resume_and_another_motion() {
     // A push on joint 2 makes a guard stop; after a resume there is another motion.
-    let arm = FakeArm::new(JOINTS, READY).at(4_500, Trick::Push(1, -0.11));
+    let arm = FakeArm::new(JOINTS, READY).at(4_500, Disturbance::Push(1, -0.11));
     let resume: Action = |handles| assert!(handles.controls.resume());
     let give: Action = |handles| {
         assert!(handles.orders.give(order(&move_to(9, READY))).is_ok());
@@ -32,7 +35,7 @@ fn guard_stop_resume_and_another_motion() {
 #[test]
 fn first_limit_is_that_of_the_last_stop() {
     // A push on joint 2, a resume, and a push on joint 5.
-    let arm = FakeArm::new(JOINTS, READY).at(4_500, Trick::Push(1, -0.11)).at(6_200, Trick::Push(4, 0.12));
+    let arm = FakeArm::new(JOINTS, READY).at(4_500, Disturbance::Push(1, -0.11)).at(6_200, Disturbance::Push(4, 0.12));
     let resume: Action = |handles| assert!(handles.controls.resume());
     let give: Action = |handles| assert!(handles.orders.give(order(&move_to(9, READY))).is_ok());
     let later = (vec![move_to(9, READY)], Vec::new());
@@ -55,7 +58,7 @@ fn first_limit_is_that_of_the_last_stop() {
 #[test]
 fn states_lost_in_every_motion() {
     for read in [300, 3_000, 4_200] {
-        let arm = FakeArm::new(JOINTS, READY).at(read, Trick::Lose(14));
+        let arm = FakeArm::new(JOINTS, READY).at(read, Disturbance::Lose(14));
         let of = run_loop(arm, 7_000, whole_job(), vec![4], no_inputs(), Vec::new());
         let lost = StopReason::LostStates { lost: 14 };
         assert_eq!((of.run.outcome.last_stop, of.run.outcome.end), (Some(lost), End::Quit));
@@ -106,18 +109,18 @@ fn orders_that_can_not_start() {
 
 #[test]
 fn faults_of_the_arm_and_states_that_end_the_loop() {
-    let ends: [fn() -> Trick; 6] = [
-        || Trick::ReadFault(Fault::Reflex { code: 25 }),
-        || Trick::ReadFault(Fault::Disconnected),
-        || Trick::ReadFault(Fault::Silent { waited_ms: 20 }),
-        || Trick::WriteFault(Fault::Refused { code: 2 }),
-        || Trick::Repeat,
-        || Trick::NanPosition(2),
+    let ends: [fn() -> Disturbance; 6] = [
+        || Disturbance::ReadFault(Fault::Reflex { code: 25 }),
+        || Disturbance::ReadFault(Fault::Disconnected),
+        || Disturbance::ReadFault(Fault::Silent { waited_ms: 20 }),
+        || Disturbance::WriteFault(Fault::Refused { code: 2 }),
+        || Disturbance::Repeat,
+        || Disturbance::NanPosition(2),
     ];
-    for (case, trick) in ends.iter().enumerate() {
+    for (case, disturbance) in ends.iter().enumerate() {
         // The last fault occurs during a stop, so no controlled stop is possible.
-        let arm = FakeArm::new(JOINTS, READY).at(4_520, trick());
-        let arm = if case == 5 { arm.at(4_500, Trick::Push(1, 0.12)) } else { arm };
+        let arm = FakeArm::new(JOINTS, READY).at(4_520, disturbance());
+        let arm = if case == 5 { arm.at(4_500, Disturbance::Push(1, 0.12)) } else { arm };
         let of = run_loop(arm, 9_000, whole_job(), vec![6], no_inputs(), Vec::new());
         assert_ne!(of.run.outcome.end, End::Quit);
         assert_eq!(of.run.outcome.unanswered.is_some(), case >= 4, "{:?}", of.run.outcome.end);
@@ -175,7 +178,7 @@ impl Sink for FullSink {
 #[test]
 fn a_panic_in_the_loop_stops_the_arm_and_is_replayed() {
     let arm = FakeArm::new(JOINTS, READY);
-    let seen = std::sync::Arc::clone(&arm.seen);
+    let seen = std::sync::Arc::clone(&arm.calls);
     let mut settings = settings();
     settings.flight = 1_000;
     let (mut cycle, mut handles) = plumbline_rt::cycle::new(arm, FullSink, None, settings).unwrap();

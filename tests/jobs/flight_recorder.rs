@@ -218,11 +218,11 @@ fn many_requests_remove_no_fault_recording_and_delay_no_shutdown() {
     place.command("start").expect_code(0);
     let fault = wait_for("the recording of the stop", || recordings(&dir).first().cloned());
     let robot = RobotId::parse("test", "robot", &place.id).unwrap();
-    let mut client = Client::connect(&robot, PATIENCE).unwrap();
+    let mut client = Client::connect(&robot, TIMEOUT).unwrap();
     let (mut accepted, mut refused) = (0, 0);
     let begin = std::time::Instant::now();
     while begin.elapsed() < std::time::Duration::from_secs(5) || accepted < 2 {
-        match client.send(&Request::Record {}, PATIENCE).unwrap() {
+        match client.send(&Request::Record {}, TIMEOUT).unwrap() {
             Response::Accepted {} => accepted += 1,
             Response::Refused { reason } => {
                 assert!(reason.contains("is being written") || reason.contains("one in 2 s at most"), "{reason}");

@@ -82,7 +82,7 @@ fn whoever_follows_and_takes_leave_in_mid_motion_is_lost_too() {
     let sets = ["backend.pace=wall-clock", "safety.max-lost=1000", "safety.on-estimator-loss=stop"];
     let daemon = place.daemon(&short(&sets));
     let robot = RobotId::parse("test", "robot", &place.id).unwrap();
-    let mut stream = SampleStream::connect(&robot, StreamSettings::default(), PATIENCE).unwrap();
+    let mut stream = SampleStream::connect(&robot, StreamSettings::default(), TIMEOUT).unwrap();
     place.command("start").expect_code(0);
     wait_for("motion", || {
         let _ = stream.next(Duration::from_millis(5)).unwrap();

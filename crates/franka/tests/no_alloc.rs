@@ -96,11 +96,11 @@ fn run_franka(
 ) -> (u32, u64, String) {
     let address = plumbline_testkit::emulator::address();
     let faults = troubles.iter().map(|text| text.parse().unwrap()).collect();
-    // Two states lost in a row take twice that, and our own patience is 100 ms.
-    let patience = std::time::Duration::from_millis(20);
+    // Two states lost in a row take twice that, and our own timeout is 100 ms.
+    let command_wait = std::time::Duration::from_millis(20);
     let emulated = plumbline_testkit::emulator::Settings {
         faults,
-        patience,
+        command_wait,
         ..plumbline_testkit::emulator::Settings::new(address, protocol)
     };
     let _emulator = plumbline_testkit::emulator::Emulator::start(emulated).unwrap();

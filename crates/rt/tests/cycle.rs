@@ -6,7 +6,7 @@ use plumbline_rt::os::{now_ns, sleep_until};
 use plumbline_rt::recorder::ring;
 use plumbline_rt::{CycleSettings, Event, SetupError, StopReason, cycle};
 use plumbline_testkit::fake_arm::drive::{Job, Model, READY, Run, Shape, Wave, dwell, follow, move_to, panda_limits};
-use plumbline_testkit::fake_arm::{FakeArm, Trick};
+use plumbline_testkit::fake_arm::{Disturbance, FakeArm};
 
 #[global_allocator]
 static WATCH: assert_no_alloc::AllocDisabler = assert_no_alloc::AllocDisabler;
@@ -179,7 +179,7 @@ fn lost_states_cost_samples_but_no_time() {
     let lose = [(300, 1), (500, 4), (501, 1), (900, 10)];
     let mut job = Job::new(3_000).order(follow(1, Wave::gentle()));
     for (read, count) in lose {
-        job = job.trick(read, Trick::Lose(count));
+        job = job.disturb(read, Disturbance::Lose(count));
     }
     let run = job.run();
     run.assert_sound();
@@ -197,7 +197,7 @@ fn lost_states_cost_samples_but_no_time() {
 
 #[test]
 fn too_many_lost_states_stop_the_motion() {
-    let run = Job::new(3_000).order(follow(1, Wave::gentle())).trick(700, Trick::Lose(11)).run();
+    let run = Job::new(3_000).order(follow(1, Wave::gentle())).disturb(700, Disturbance::Lose(11)).run();
     assert_stopped(&run, StopReason::LostStates { lost: 11 });
 }
 
@@ -227,12 +227,12 @@ fn a_reference_that_starts_two_microradians_away_is_refused() {
 fn the_arm_is_stopped_by_a_loop_that_ends_one_that_panics_and_one_that_never_ran() {
     let made = || {
         let arm = FakeArm::new(7, READY);
-        let seen = std::sync::Arc::clone(&arm.seen);
+        let seen = std::sync::Arc::clone(&arm.calls);
         let (cycle, handles) =
             cycle::new(arm, ring(100).0, None, plumbline_testkit::fake_arm::drive::settings()).unwrap();
         (cycle, handles, seen)
     };
-    let stops = |seen: &plumbline_testkit::fake_arm::Seen| seen.get().2;
+    let stops = |seen: &plumbline_testkit::fake_arm::Calls| seen.get().2;
     let (mut ending, handles, seen) = made();
     handles.controls.quit();
     assert_eq!((ending.run().end, stops(&seen)), (End::Quit, 1));
@@ -259,18 +259,18 @@ fn a_fault_in_any_phase_stops_the_arm_at_once() {
     for (k, read) in [50, 800, 2_600, 4_105, 5_000].into_iter().enumerate() {
         for writing in [false, true] {
             let fault = faults[k % faults.len()];
-            let trick = if writing { Trick::WriteFault(fault) } else { Trick::ReadFault(fault) };
+            let disturbance = if writing { Disturbance::WriteFault(fault) } else { Disturbance::ReadFault(fault) };
             let run = Job::new(9_000)
                 .order(dwell(1, 100))
                 .order(move_to(2, AWAY))
                 .order(follow(3, started_at(AWAY)))
                 .order(move_to(4, READY))
                 .outside(4_100, |h| h.controls.stop())
-                .trick(read, trick)
+                .disturb(read, disturbance)
                 .run();
             run.assert_sound();
             assert_eq!(run.outcome.end, End::Fault(fault));
-            let (reads, writes, ..) = run.seen.get();
+            let (reads, writes, ..) = run.calls.get();
             assert_eq!((reads, writes), (read + 1, read + u64::from(writing)));
             assert_eq!(run.outcome.flight.last(), run.records.last());
         }
@@ -279,7 +279,7 @@ fn a_fault_in_any_phase_stops_the_arm_at_once() {
 
 #[test]
 fn a_counter_that_does_not_go_forward_ends_the_loop() {
-    let run = Job::new(500).trick(100, Trick::Repeat).run();
+    let run = Job::new(500).disturb(100, Disturbance::Repeat).run();
     run.assert_sound();
     assert_eq!(run.outcome.end, End::Clock { last: 1_100, seq: 1_100 });
 }

@@ -4,7 +4,7 @@ use plumbline_core::{JointVec, MAX_JOINTS, Phase, Record, Reference, Setpoint, S
 use plumbline_rt::cycle::End;
 use plumbline_rt::{Event, Limit, StopReason, Violation};
 use plumbline_testkit::fake_arm::drive::{Job, Model, READY, Run, Shape, Tool, Wave, follow, move_to, panda_limits};
-use plumbline_testkit::fake_arm::{FakeArm, Trick};
+use plumbline_testkit::fake_arm::{Disturbance, FakeArm};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -13,8 +13,8 @@ static WATCH: assert_no_alloc::AllocDisabler = assert_no_alloc::AllocDisabler;
 
 /// Forward kinematics of a test.
 type Forward = fn(&JointVec) -> [f64; 3];
-/// A trick, made anew for every run.
-type Scripted = fn() -> Trick;
+/// A disturbance, made anew for every run.
+type Scripted = fn() -> Disturbance;
 
 /// The run was stopped by the guard, for this reason, inside every limit, and rests.
 fn assert_guarded(run: &Run, limit: Limit, joint: usize) -> Violation {
@@ -289,18 +289,18 @@ fn the_end_effector_stays_in_its_box_and_off_the_base() {
 fn measured_limits_stop_the_arm_in_every_phase() {
     let away: JointVec = [0.4, -0.3, -0.5, -1.9, 0.6, 1.2, 0.1, 0.0];
     let tricks: [(Limit, usize, Scripted); 3] = [
-        (Limit::Tracking, 3, || Trick::Push(3, -0.11)),
-        (Limit::MeasuredTorque, 5, || Trick::Torque(5, 12.5)),
-        (Limit::MeasuredNotFinite, 1, || Trick::NanPosition(1)),
+        (Limit::Tracking, 3, || Disturbance::Push(3, -0.11)),
+        (Limit::MeasuredTorque, 5, || Disturbance::Torque(5, 12.5)),
+        (Limit::MeasuredNotFinite, 1, || Disturbance::NanPosition(1)),
     ];
     for (read, phase) in [(50, Phase::Hold), (700, Phase::Approach), (2_600, Phase::Excite)] {
-        for (limit, joint, trick) in tricks {
+        for (limit, joint, disturbance) in tricks {
             let run = Job::new(6_000)
                 .order(plumbline_testkit::fake_arm::drive::dwell(1, 100))
                 .order(move_to(2, away))
                 .order(follow(3, Wave { q0: away, ..Wave::gentle() }))
                 .model(Model(5, |_: &Setpoint| [1.0; MAX_JOINTS]))
-                .trick(read, trick())
+                .disturb(read, disturbance())
                 .run();
             assert_guarded(&run, limit, joint);
             // The model is not the cause and continues to serve.
@@ -316,20 +316,20 @@ fn a_second_violation_stops_the_arm_by_its_own_means() {
     // NaN in the state twice: the first starts the brake, the second ends it.
     let run = Job::new(3_000)
         .order(follow(1, Wave::gentle()))
-        .trick(600, Trick::NanPosition(0))
-        .trick(605, Trick::NanPosition(2))
+        .disturb(600, Disturbance::NanPosition(0))
+        .disturb(605, Disturbance::NanPosition(2))
         .run();
     run.assert_sound();
     let End::Unsafe(violation) = run.outcome.end else { panic!("{:?}", run.outcome.end) };
     assert_eq!((violation.limit, violation.joint), (Limit::MeasuredNotFinite, 2));
-    assert_eq!(run.seen.get().1, 605, "nothing is written after it");
+    assert_eq!(run.calls.get().1, 605, "nothing is written after it");
 
     // An arm that starts outside its limits can't even hold.
     let mut outside = READY;
     outside[3] = 0.3;
     let run = Job::on(FakeArm::new(7, outside), 100).run();
     assert!(matches!(run.outcome.end, End::Unsafe(Violation { limit: Limit::Position, joint: 3, .. })));
-    assert_eq!(run.seen.get().1, 0);
+    assert_eq!(run.calls.get().1, 0);
 }
 
 #[test]
@@ -363,7 +363,7 @@ fn random_motions_never_cross_a_limit() {
             .outside(rng.random_range(0..6_000), |h| h.controls.stop());
         let lossy = case % 3 == 0;
         for _ in 0..if lossy { 10 } else { 0 } {
-            job = job.trick(rng.random_range(1..3_000), Trick::Lose(rng.random_range(1..5)));
+            job = job.disturb(rng.random_range(1..3_000), Disturbance::Lose(rng.random_range(1..5)));
         }
         let run = job.run();
         run.assert_sound();

@@ -4,7 +4,7 @@
 use plumbline_core::{JointVec, Limits, MAX_JOINTS, Phase, Reference, Setpoint, Workspace};
 use plumbline_rt::cycle::End;
 use plumbline_rt::{Limit, Order, OrderKind, StopReason};
-use plumbline_testkit::fake_arm::Trick;
+use plumbline_testkit::fake_arm::Disturbance;
 use plumbline_testkit::fake_arm::drive::{
     Job, Model, READY, Run, Shape, Tool, Wave, dwell, follow, move_to, panda_limits,
 };
@@ -42,7 +42,7 @@ enum How {
     /// By where the tool is.
     Tool(fn(bool) -> [f64; 3]),
     /// By what the arm measures.
-    Measured(fn() -> Trick),
+    Measured(fn() -> Disturbance),
 }
 
 const LIMITS: [(Limit, &str, How); 17] = [
@@ -60,9 +60,9 @@ const LIMITS: [(Limit, &str, How); 17] = [
     (Limit::TorqueRate, "torque rate", How::Torque(|_| 2.0)),
     (Limit::EndEffectorBox, "tool in its box", How::Tool(|out| if out { [0.6, 0.0, 0.4] } else { [0.4, 0.0, 0.4] })),
     (Limit::BaseSphere, "tool off the base", How::Tool(|out| if out { [0.1, 0.0, 0.15] } else { [0.4, 0.0, 0.4] })),
-    (Limit::Tracking, "following", How::Measured(|| Trick::Push(6, 0.12))),
-    (Limit::MeasuredTorque, "measured torque", How::Measured(|| Trick::Torque(6, 12.5))),
-    (Limit::MeasuredNotFinite, "a measured number", How::Measured(|| Trick::NanPosition(6))),
+    (Limit::Tracking, "following", How::Measured(|| Disturbance::Push(6, 0.12))),
+    (Limit::MeasuredTorque, "measured torque", How::Measured(|| Disturbance::Torque(6, 12.5))),
+    (Limit::MeasuredNotFinite, "a measured number", How::Measured(|| Disturbance::NanPosition(6))),
 ];
 
 /// An acceleration that no motion has, at a velocity that goes with it.
@@ -150,7 +150,7 @@ fn run(how: How, phase: Phase, at: u64) -> Option<Run> {
             })));
             job.run()
         }
-        How::Measured(trick) => job.trick(at, trick()).run(),
+        How::Measured(disturbance) => job.disturb(at, disturbance()).run(),
         How::Motion(_) | How::Push(..) => job.run(),
     })
 }

@@ -1,6 +1,6 @@
 //! The true parameters of a simulated arm: masses, friction, controller, sensors and effects, from a TOML file.
 
-use super::effect::{Effect, EffectSpec};
+use super::effect::{Effect, EffectSpec, Kind, rotor_inertia};
 use super::spatial::Inertia;
 use nalgebra::{Matrix3, Vector3};
 use plumbline_core::{BadInput, MAX_JOINTS, from_toml, symmetric_eigen};
@@ -184,6 +184,13 @@ impl Truth {
     /// Number of joints, n.
     pub fn joints(&self) -> usize {
         self.links.len()
+    }
+
+    /// The same arm with a rotor of `inertia` \[kg m2\] at the joint's side of every gear.
+    pub fn with_rotors(mut self, inertia: f64) -> Truth {
+        let rotor = |joint| Kind::RotorInertia(rotor_inertia::Config { joint, inertia }).into();
+        self.effects.extend((1..=self.joints()).map(rotor));
+        self
     }
 
     /// Standard parameters of the links without effects, for comparison with identified ones (paper eq. 5, inertia about the link

@@ -18,7 +18,7 @@ pub struct Run {
 }
 
 impl Run {
-    pub fn words(&self) -> String {
+    pub fn describe(&self) -> String {
         match &self.outcome.end {
             End::Fault(fault) => explain(fault, &self.statistics).to_string(),
             other => format!("{other}, last stop {:?}", self.outcome.last_stop),
@@ -116,7 +116,7 @@ pub fn drive_serving(
 /// before, or where the server's own process stood still. Without a real-time kernel, beside other work, that happens every few seconds; a violation of the communication constraints is the
 /// right end of 20 ms of it. franka-sim also takes commands that come a few milliseconds late and goes back on what it had extrapolated for
 /// them, where a robot drops them; after that its point is one that no client can know. Everything else that ends a run stands.
-pub fn drive_patiently(settings: &Settings, fourier: &Fourier, most: Duration, tries: u32) -> Run {
+pub fn drive_with_retries(settings: &Settings, fourier: &Fourier, most: Duration, tries: u32) -> Run {
     use plumbline_core::Fault;
     let mut attempt = 1;
     loop {
@@ -128,7 +128,7 @@ pub fn drive_patiently(settings: &Settings, fourier: &Fourier, most: Duration, t
         if !(reflex && stalled || silent || lost) || attempt >= tries {
             return run;
         }
-        eprintln!("RETRY {attempt}: {}", run.words());
+        eprintln!("RETRY {attempt}: {}", run.describe());
         attempt += 1;
         if let Err(error) = recover(settings) {
             eprintln!("recovery: {error}");

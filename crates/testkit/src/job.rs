@@ -10,16 +10,14 @@ use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
+pub use crate::wait::{TIMEOUT, wait_for};
 use nalgebra::DVector;
 use plumbline::report::Report;
 use plumbline_core::Phase;
-use plumbline_ipc::{Progress, Status};
+use plumbline_ipc::{Client, Progress, Request, Response, RobotId, Status};
 use plumbline_model::{Reduction, Robot};
 use plumbline_sim::Truth;
 use tempfile::TempDir;
-
-/// Timeout, long enough for a loaded machine.
-pub const PATIENCE: Duration = Duration::from_secs(300);
 
 pub const WALL: &str = "config/sim-panda-wall.toml";
 
@@ -73,6 +71,9 @@ type Files = Vec<(OsString, Vec<u8>)>;
 /// The overrides that plans may depend on.
 const PLANNED_BY: [&str; 6] = ["excitation.", "validation.", "limits.", "workspace.", "mounting=", "robot="];
 
+/// Overrides that repeat the motions of plans.
+const REPEATED_BY: [&str; 3] = ["excitation.periods=", "excitation.lead-in=", "validation.periods="];
+
 impl Place {
     pub fn new(test: &str) -> Place {
         let id = format!("test-{test}-{}", std::process::id());
@@ -82,6 +83,7 @@ impl Place {
     /// Puts the plans of a job with these overrides into the folder of the results, where another test has had them made.
     pub fn reuse_plans(&self, job: &str, sets: &[&str]) {
         let own = sets.iter().filter(|set| PLANNED_BY.iter().any(|key| set.starts_with(key)));
+        let own = own.filter(|set| !REPEATED_BY.iter().any(|key| set.starts_with(key)));
         let key = own.fold(job.to_string(), |key, set| format!("{key} {set}"));
         let plans = self.out().join("plans");
         if let Some(files) = PLANS.lock().unwrap().get(&key).filter(|_| !plans.exists()) {
@@ -124,10 +126,14 @@ impl Place {
         Done::of(command)
     }
 
-    /// The daemon's status, if it responds.
+    /// The daemon's status, if it responds: as `plumbline command status`, without a process for every poll.
     pub fn status(&self) -> Option<Status> {
-        let done = self.command("status");
-        (done.code == Some(0)).then(|| serde_json::from_str(&done.out).unwrap())
+        let robot = RobotId::parse("test", "robot", &self.id).unwrap();
+        let mut client = Client::connect_operator(&robot, Duration::from_millis(500)).ok()?;
+        match client.send(&Request::Status {}, Duration::from_secs(2)).ok()? {
+            Response::Status(status) => Some(*status),
+            _ => None,
+        }
     }
 
     #[track_caller]
@@ -137,10 +143,11 @@ impl Place {
         daemon
     }
 
-    /// Waits until the arm moves along the excitation.
+    /// Waits until the programme moves the arm: to the start of its first motion, which takes seconds, or along it.
     #[track_caller]
-    pub fn await_excitation(&self) {
-        let moves = |now: &Status| now.progress == Progress::Driving && now.phase == Phase::Excite;
+    pub fn await_motion(&self) {
+        let moves =
+            |now: &Status| now.progress == Progress::Driving && matches!(now.phase, Phase::Approach | Phase::Excite);
         wait_for("motion", || self.status().filter(moves));
     }
 
@@ -252,11 +259,11 @@ impl Running {
         self.0.as_mut().unwrap().child.try_wait().unwrap().is_none()
     }
 
-    /// Waits for its end, at most [`PATIENCE`].
+    /// Waits for its end, at most [`TIMEOUT`].
     pub fn end(mut self) -> Done {
         let start = Instant::now();
         while self.runs() {
-            assert!(start.elapsed() < PATIENCE, "process {} did not end", self.pid());
+            assert!(start.elapsed() < TIMEOUT, "process {} did not end", self.pid());
             std::thread::sleep(Duration::from_millis(10));
         }
         let mut process = self.0.take().unwrap();
@@ -350,19 +357,6 @@ pub fn anyone_with(text: &str) -> Vec<u32> {
         pid != std::process::id() && line.contains(text)
     };
     processes.filter(mentions).collect()
-}
-
-/// Waits until `condition` gives something.
-#[track_caller]
-pub fn wait_for<T>(what: &str, mut condition: impl FnMut() -> Option<T>) -> T {
-    let start = Instant::now();
-    loop {
-        if let Some(found) = condition() {
-            return found;
-        }
-        assert!(start.elapsed() < PATIENCE, "{what} did not happen");
-        std::thread::sleep(Duration::from_millis(5));
-    }
 }
 
 /// Name and true value of every parameter that the paper's model of this arm has: the general base set, then fv, then fc.

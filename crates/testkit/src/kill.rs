@@ -7,12 +7,14 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use crate::job::{Place, plumbline, signal};
+pub use crate::wait::within;
 use plumbline_ipc::{
     Client, Delivery, FeedForwardClient, FeedForwardSettings, Progress, Request, Response, RobotId, SampleStream,
     Status, StreamSettings,
 };
 
-pub const PATIENCE: Duration = Duration::from_secs(30);
+/// Longest wait for any step of a round.
+pub const LIMIT: Duration = Duration::from_secs(30);
 pub const RESTART: Duration = Duration::from_secs(2);
 
 /// A child process, killed on drop. Its output is written to a file.
@@ -108,45 +110,31 @@ impl Robot {
     }
 }
 
-/// Waits for `condition` up to `limit`; returns the elapsed time.
-pub fn within(limit: Duration, mut condition: impl FnMut() -> bool) -> Option<Duration> {
-    let start = Instant::now();
-    loop {
-        if condition() {
-            return Some(start.elapsed());
-        }
-        if start.elapsed() > limit {
-            return None;
-        }
-        std::thread::sleep(Duration::from_millis(4));
-    }
-}
-
-pub type Complaints = Arc<Mutex<Vec<String>>>;
+pub type Violations = Arc<Mutex<Vec<String>>>;
 
 /// Two monitor threads: one reads every sample, one the newest torque.
-pub struct Witnesses {
+pub struct Monitors {
     stop: Arc<AtomicBool>,
     threads: Vec<JoinHandle<()>>,
-    pub complaints: Complaints,
+    pub violations: Violations,
     pub samples: Arc<AtomicU64>,
     pub torques: Arc<AtomicU64>,
     pub stale: Arc<AtomicBool>,
 }
 
-impl Witnesses {
+impl Monitors {
     /// Starts the monitors of a robot with a daemon.
-    pub fn watch(id: &RobotId) -> Witnesses {
+    pub fn watch(id: &RobotId) -> Monitors {
         let stop = Arc::new(AtomicBool::new(false));
-        let complaints: Complaints = Arc::default();
+        let violations: Violations = Arc::default();
         let (samples, torques) = (Arc::new(AtomicU64::new(0)), Arc::new(AtomicU64::new(0)));
         let stale = Arc::new(AtomicBool::new(false));
-        let (robot, done, found, count) = (id.clone(), stop.clone(), complaints.clone(), samples.clone());
+        let (robot, done, found, count) = (id.clone(), stop.clone(), violations.clone(), samples.clone());
         let follower = std::thread::spawn(move || follow_samples(&robot, &done, &found, &count));
         let (robot, done, found, count, old) =
-            (id.clone(), stop.clone(), complaints.clone(), torques.clone(), stale.clone());
+            (id.clone(), stop.clone(), violations.clone(), torques.clone(), stale.clone());
         let reader = std::thread::spawn(move || follow_torque(&robot, &done, &found, &count, &old));
-        Witnesses { stop, threads: vec![follower, reader], complaints, samples, torques, stale }
+        Monitors { stop, threads: vec![follower, reader], violations, samples, torques, stale }
     }
 
     pub fn end(self) -> (u64, u64) {
@@ -159,21 +147,21 @@ impl Witnesses {
 }
 
 /// Checks that every record arrives exactly once and in order, over all starts of the daemon.
-fn follow_samples(robot: &RobotId, stop: &AtomicBool, complaints: &Complaints, count: &AtomicU64) {
-    let settings = StreamSettings { name: "witness".into(), ..StreamSettings::default() };
-    let mut stream = SampleStream::connect(robot, settings, PATIENCE).unwrap();
+fn follow_samples(robot: &RobotId, stop: &AtomicBool, violations: &Violations, count: &AtomicU64) {
+    let settings = StreamSettings { name: "monitor".into(), ..StreamSettings::default() };
+    let mut stream = SampleStream::connect(robot, settings, LIMIT).unwrap();
     let (mut next, mut cycle) = (stream.position(), None);
-    let complain = |words: String| complaints.lock().unwrap().push(words);
+    let report = |words: String| violations.lock().unwrap().push(words);
     while !stop.load(Ordering::Relaxed) {
         match stream.next(Duration::from_millis(50)) {
             Ok(Delivery::Records { first, records }) => {
                 if first != next {
-                    complain(format!("sample {first} came where {next} was due"));
+                    report(format!("sample {first} came where {next} was due"));
                 }
                 for record in &records {
                     // Cycle numbers increase within a connection and restart with a new one.
                     if cycle.is_some_and(|last| record.cycle <= last && record.cycle > 1) {
-                        complain(format!("cycle {} came after {cycle:?}", record.cycle));
+                        report(format!("cycle {} came after {cycle:?}", record.cycle));
                     }
                     cycle = Some(record.cycle);
                 }
@@ -181,20 +169,20 @@ fn follow_samples(robot: &RobotId, stop: &AtomicBool, complaints: &Complaints, c
                 count.fetch_add(records.len() as u64, Ordering::Relaxed);
             }
             Ok(Delivery::Missed { from, to }) => {
-                complain(format!("samples {from} to {to} are gone"));
+                report(format!("samples {from} to {to} are gone"));
                 next = to;
             }
             Ok(Delivery::Restarted { .. }) => (next, cycle) = (0, None),
             Ok(Delivery::Idle | Delivery::Gone) => {}
-            Err(error) => complain(error.to_string()),
+            Err(error) => report(error.to_string()),
         }
     }
 }
 
 /// Checks the newest torque: sequence numbers increase within a start, and a value not marked stale is younger than the limit.
-fn follow_torque(robot: &RobotId, stop: &AtomicBool, complaints: &Complaints, count: &AtomicU64, stale: &AtomicBool) {
+fn follow_torque(robot: &RobotId, stop: &AtomicBool, violations: &Violations, count: &AtomicU64, stale: &AtomicBool) {
     let settings = FeedForwardSettings::default();
-    let mut client = FeedForwardClient::connect(robot, settings, PATIENCE).unwrap();
+    let mut client = FeedForwardClient::connect(robot, settings, LIMIT).unwrap();
     let mut last = (0, 0);
     while !stop.load(Ordering::Relaxed) {
         match client.latest() {
@@ -204,10 +192,10 @@ fn follow_torque(robot: &RobotId, stop: &AtomicBool, complaints: &Complaints, co
                 let age = plumbline_ipc::boot_ns().saturating_sub(latest.message.stamp_ns);
                 let slack = 50_000_000;
                 if !latest.stale && age > settings.stale_after_ms * 1_000_000 + slack {
-                    complaints.lock().unwrap().push(format!("a torque of {age} ns age was not marked"));
+                    violations.lock().unwrap().push(format!("a torque of {age} ns age was not marked"));
                 }
                 if now.0 == last.0 && now.1 < last.1 || now.0 < last.0 {
-                    complaints.lock().unwrap().push(format!("torque {now:?} came after {last:?}"));
+                    violations.lock().unwrap().push(format!("torque {now:?} came after {last:?}"));
                 }
                 if now != last {
                     count.fetch_add(1, Ordering::Relaxed);
@@ -216,7 +204,7 @@ fn follow_torque(robot: &RobotId, stop: &AtomicBool, complaints: &Complaints, co
                 stale.store(latest.stale, Ordering::Relaxed);
             }
             Ok(None) => stale.store(true, Ordering::Relaxed),
-            Err(error) => complaints.lock().unwrap().push(error.to_string()),
+            Err(error) => violations.lock().unwrap().push(error.to_string()),
         }
         std::thread::sleep(Duration::from_micros(700));
     }

@@ -3,13 +3,13 @@
 //!
 //! | feature | modules |
 //! |---|---|
-//! | none | `conformance`, `logs`, `page`, `peers`, `turns` |
+//! | none | `conformance`, `logs`, `page`, `peers`, `turns`, `wait` |
 //! | `model` | `arms` |
 //! | `loop` | `fake_arm` |
 //! | `sim` | `sim` |
 //! | `identify` | `scene`, `bodies`, `peers::nearest` |
 //! | `diagnose` | `diagnosis` |
-//! | `franka` | `emulator`, `fake_robot`, `franka_loop`, `fuzz` |
+//! | `franka` | `emulator`, `franka_loop`, `fuzz` |
 //! | `ipc` | `memory` |
 //! | `inclinometer` | `inclinometer` |
 //! | `program` | `job`, `kill`, `paper`, `rig`, `fuzz::files`: they run the program or read its files |
@@ -27,8 +27,6 @@ pub mod diagnosis;
 pub mod emulator;
 #[cfg(feature = "loop")]
 pub mod fake_arm;
-#[cfg(feature = "franka")]
-pub mod fake_robot;
 #[cfg(feature = "franka")]
 pub mod franka_loop;
 #[cfg(feature = "franka")]
@@ -53,6 +51,7 @@ pub mod scene;
 #[cfg(feature = "sim")]
 pub mod sim;
 pub mod turns;
+pub mod wait;
 
 use std::path::{Path, PathBuf};
 

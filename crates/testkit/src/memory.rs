@@ -5,11 +5,9 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
+pub use crate::wait::{TIMEOUT, wait_for};
 use plumbline_core::{Phase, Record, Validity};
 use plumbline_ipc::{Delivery, RobotId, SampleStream, Server, ServerSettings, now_ns};
-
-/// Timeout, long enough for a loaded machine.
-pub const PATIENCE: Duration = Duration::from_secs(20);
 
 pub fn robot(test: &str) -> RobotId {
     RobotId::parse("test", "robot", &format!("test-{test}-{}", std::process::id())).unwrap()
@@ -70,7 +68,7 @@ pub fn read_until(stream: &mut SampleStream, end: u64, mut pause: impl FnMut()) 
     let mut expected = stream.position();
     let mut missed = Vec::new();
     while expected < end {
-        assert!(start.elapsed() < PATIENCE, "stuck at {expected} of {end}: {:?}", stream.counters());
+        assert!(start.elapsed() < TIMEOUT, "stuck at {expected} of {end}: {:?}", stream.counters());
         match stream.next(Duration::from_millis(100)).unwrap() {
             Delivery::Records { first, records } => {
                 assert_eq!(first, expected);
@@ -90,13 +88,4 @@ pub fn read_until(stream: &mut SampleStream, end: u64, mut pause: impl FnMut()) 
         }
     }
     missed
-}
-
-/// Waits until `condition` holds.
-pub fn wait_for(what: &str, mut condition: impl FnMut() -> bool) {
-    let start = Instant::now();
-    while !condition() {
-        assert!(start.elapsed() < PATIENCE, "{what} did not happen");
-        std::thread::sleep(Duration::from_millis(1));
-    }
 }

@@ -11,7 +11,7 @@ ip -n robot address add 172.16.0.2/24 dev eth0; ip -n robot link set eth0 up; ip
 # Where others use the processor, too, the robot's time stands still for up to a fifth of a second while it waits for a command. Else it waits as a robot
 # does: not at all; and has the first turn on the processor, for a control unit has one of its own.
 settings=() first=(chrt --fifo 85)
-[ "$QUICK" = 1 ] && settings+=(--patience 200) && first=()
+[ "$QUICK" = 1 ] && settings+=(--command-wait 200) && first=()
 [ -f ./arm.toml ] && settings+=(--arm ./arm.toml)
 "${first[@]}" ip netns exec robot ./fci-emulator --address 172.16.0.2 --protocol 5 --robot panda --mounting wall "${settings[@]}" >/tmp/emulator.log 2>&1 &
 emulator=$!

@@ -20,7 +20,6 @@ fn another_version_is_taken_up_or_named_with_its_image() {
         (6, "Update the robot's system image to 5.9.0"),
     ] {
         let fake = Fake::start(Protocol::V10, move |world| world.speaks = speaks);
-        std::thread::sleep(Duration::from_millis(5));
         let (error, text) = refusal(&fake, Protocol::V10);
         assert!(matches!(error, ConnectError::Version { robot, .. } if robot == speaks), "{text}");
         assert!(text.contains(says) && text.contains("libfranka"), "{text}");
@@ -69,7 +68,6 @@ fn modes_are_answered_with_the_operators_next_step() {
     ];
     for (mode, says) in modes {
         let fake = Fake::start(Protocol::V10, move |world| world.state.robot_mode = mode);
-        std::thread::sleep(Duration::from_millis(5));
         let (error, text) = refusal(&fake, Protocol::V10);
         assert!(
             matches!(error, ConnectError::Mode { mode: found, .. } if found == mode) && text.contains(says),
@@ -91,7 +89,6 @@ fn a_reflex_whose_errors_have_cleared_is_named_and_recovered_by_its_mode() {
             done = true;
         }
     });
-    std::thread::sleep(Duration::from_millis(5));
     let (_, text) = refusal(&fake, Protocol::V5);
     assert!(text.contains("joint_reflex") && text.contains("recovery"), "{text}");
     assert!(fake.with(|world| !world.requests.contains(&Request::AutomaticErrorRecovery)), "not by itself");

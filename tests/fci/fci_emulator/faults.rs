@@ -2,7 +2,7 @@
 
 use super::client::{Answer, knock};
 use super::emulator::{Emulator, Fault, Settings};
-use super::{address, patient, session};
+use super::{address, session, waiting};
 use plumbline_franka::wire::{
     ConnectStatus, ErrorBit, MoveStatus, Protocol, RecoveryStatus, Request, RobotCommand, RobotMode,
 };
@@ -37,7 +37,7 @@ fn states_are_lost_doubled_swapped_cut_and_spoiled() {
 
 #[test]
 fn lost_commands_end_a_motion_and_duplicates_do_not() {
-    let (emulator, mut client) = session(patient(Protocol::V5));
+    let (emulator, mut client) = session(waiting(Protocol::V5));
     emulator.fault(fault("duplicate=1,of=commands"));
     let id = client.start_positions();
     let q = client.state.q_d;
@@ -66,7 +66,7 @@ fn lost_commands_end_a_motion_and_duplicates_do_not() {
 
 #[test]
 fn a_reset_ends_the_session_and_the_arm_brakes() {
-    let (emulator, mut client) = session(patient(Protocol::V10));
+    let (emulator, mut client) = session(waiting(Protocol::V10));
     emulator.fault(fault("tcp-reset,at=motion+0.03"));
     client.start_positions();
     let q = client.state.q_d;

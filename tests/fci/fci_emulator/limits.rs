@@ -3,7 +3,7 @@
 use super::client::{Answer, Client};
 use super::emulator::Settings;
 use super::emulator::limits::{Limits, RobotKind};
-use super::{address, each_protocol, patient, session};
+use super::{address, each_protocol, session, waiting};
 use plumbline_franka::wire::{
     ErrorBit, MotionGeneratorMode, Move, MoveController, MoveGenerator, MoveStatus, Protocol, RecoveryStatus, Request,
     RobotCommand, RobotMode, RobotState,
@@ -70,7 +70,7 @@ fn a_first_command_that_jumps_or_moves_is_a_discontinuity() {
     let expected =
         [ErrorBit::JointMotionGeneratorVelocityDiscontinuity, ErrorBit::JointMotionGeneratorAccelerationDiscontinuity];
     each_protocol(|protocol| {
-        let (_emulator, mut client) = session(patient(protocol));
+        let (_emulator, mut client) = session(waiting(protocol));
         let id = client.start_positions();
         let mut q = client.state.q_d;
         q[2] += 0.0021;
@@ -101,7 +101,7 @@ fn a_first_command_that_jumps_or_moves_is_a_discontinuity() {
 #[test]
 fn velocities_and_torques_are_judged_too() {
     each_protocol(|protocol| {
-        let (_emulator, mut client) = session(patient(protocol));
+        let (_emulator, mut client) = session(waiting(protocol));
         let id = client.start(MoveController::JointImpedance, MoveGenerator::JointVelocity);
         client.write(RobotCommand { dq_c: [0.1; 7], ..RobotCommand::default() });
         client.read();
@@ -128,7 +128,7 @@ fn velocities_and_torques_are_judged_too() {
 fn numbers_that_are_none_are_an_input_error() {
     each_protocol(|protocol| {
         for wrong in [f64::NAN, f64::INFINITY] {
-            let (_emulator, mut client) = session(patient(protocol));
+            let (_emulator, mut client) = session(waiting(protocol));
             let id = client.start_positions();
             let mut q = client.state.q_d;
             client.step_to(q);
@@ -182,7 +182,7 @@ fn twenty_missing_commands_end_a_motion() {
 #[test]
 fn the_arm_goes_on_at_constant_acceleration_without_commands() {
     let own = limits(Protocol::V5);
-    let settings = Settings { patience: std::time::Duration::from_millis(300), ..patient(Protocol::V5) };
+    let settings = Settings { command_wait: std::time::Duration::from_millis(300), ..waiting(Protocol::V5) };
     let (emulator, mut client) = session(settings);
     let id = client.start_positions();
     let start = client.state.q_d;
@@ -194,7 +194,7 @@ fn the_arm_goes_on_at_constant_acceleration_without_commands() {
     }
     let before = client.state;
     assert!(before.ddq_d[0] > 1.0 && before.dq_d[0] > 0.1, "{} {}", before.ddq_d[0], before.dq_d[0]);
-    // No answer from here on, and even a patient emulator does not wait for ever.
+    // No answer from here on, and an emulator with a command wait does not wait for ever.
     for missing in 1..=3 {
         let state = client.read();
         assert_eq!(state.robot_mode, RobotMode::Move);
@@ -204,7 +204,7 @@ fn the_arm_goes_on_at_constant_acceleration_without_commands() {
         assert!((state.q_d[0] - q).abs() < 1e-10, "{missing}: {} {q}", state.q_d[0]);
         assert!((state.ddq_d[0] - before.ddq_d[0]).abs() < 1e-6);
     }
-    emulator.hand(super::emulator::Hand::UserStop);
+    emulator.operate(super::emulator::OperatorAction::UserStop);
     client.until(RobotMode::UserStopped);
     assert_eq!(client.await_answer(id), Answer::Move(MoveStatus::EmergencyAborted));
 }
@@ -213,7 +213,7 @@ fn the_arm_goes_on_at_constant_acceleration_without_commands() {
 fn errors_clear_when_the_arm_has_braked_and_the_mode_stays_until_recovered() {
     each_protocol(|protocol| {
         let own = limits(protocol);
-        let (_emulator, mut client) = session(patient(protocol));
+        let (_emulator, mut client) = session(waiting(protocol));
         let id = push(&mut client, |now| match now {
             Push { dq, .. } if *dq > 0.5 => 40.0 * own.jerk[0],
             Push { ddq, .. } if *ddq < 0.8 * own.ddq[0] => 0.5 * own.jerk[0],

@@ -5,9 +5,9 @@ mod client;
 
 mod faults;
 mod limits;
-mod manners;
 mod motions;
 mod program;
+mod requests;
 
 use client::Client;
 use plumbline_franka::wire::Protocol;
@@ -15,8 +15,8 @@ use plumbline_testkit::emulator::{self, Emulator, Settings, address};
 use std::time::Duration;
 
 /// A robot whose time waits for the client: a machine that stalls must not decide these tests.
-fn patient(protocol: Protocol) -> Settings {
-    Settings { patience: Duration::from_secs(2), ..Settings::new(address(), protocol) }
+fn waiting(protocol: Protocol) -> Settings {
+    Settings { command_wait: Duration::from_secs(2), ..Settings::new(address(), protocol) }
 }
 
 fn session(settings: Settings) -> (Emulator, Client) {

@@ -2,7 +2,7 @@
 
 use super::client::{Answer, knock};
 use super::emulator::READY;
-use super::{address, each_protocol, patient, session};
+use super::{address, each_protocol, session, waiting};
 use plumbline_franka::wire::{
     ConnectStatus, ControllerMode, MotionGeneratorMode, Move, MoveController, MoveGenerator, MoveStatus, Protocol,
     Request, RobotCommand, RobotMode, StopStatus,
@@ -52,7 +52,7 @@ fn states_come_each_millisecond_and_show_an_idle_arm() {
 #[test]
 fn a_motion_may_begin_at_the_measured_position() {
     each_protocol(|protocol| {
-        let (_emulator, mut client) = session(patient(protocol));
+        let (_emulator, mut client) = session(waiting(protocol));
         // What this arm measures at rest, and up to what a real one is off by: some of it would be a legal step, most would not.
         for off in [None, Some(1e-6), Some(4e-6), Some(1e-5), Some(1e-4), Some(1.5e-3)] {
             let id = client.start_positions();
@@ -82,7 +82,7 @@ fn a_motion_may_begin_at_the_measured_position() {
 #[test]
 fn torques_run_beside_a_motion_generator() {
     each_protocol(|protocol| {
-        let (_emulator, mut client) = session(patient(protocol));
+        let (_emulator, mut client) = session(waiting(protocol));
         let id = client.start(MoveController::External, MoveGenerator::JointPosition);
         let (start, goal) = (client.state.q, client.state.q_d);
         let mut q_d = goal;
@@ -106,7 +106,7 @@ fn torques_run_beside_a_motion_generator() {
 #[test]
 fn a_stop_is_answered_twice_and_leaves_the_arm_idle() {
     each_protocol(|protocol| {
-        let (_emulator, mut client) = session(patient(protocol));
+        let (_emulator, mut client) = session(waiting(protocol));
         // Nothing to stop: libfranka's Python examples ask for it after a motion that has ended by itself.
         assert_eq!(client.ask(Request::StopMove), Answer::StopMove(StopStatus::Success));
         let id = client.start_positions();
@@ -128,7 +128,7 @@ fn a_stop_is_answered_twice_and_leaves_the_arm_idle() {
 #[test]
 fn what_a_robot_has_and_this_one_has_not_is_not_possible() {
     each_protocol(|protocol| {
-        let (_emulator, mut client) = session(patient(protocol));
+        let (_emulator, mut client) = session(waiting(protocol));
         let refused = Answer::Move(MoveStatus::NotPossible);
         for generator in [MoveGenerator::CartesianPose, MoveGenerator::CartesianVelocity] {
             assert_eq!(client.begin(Move::new(MoveController::JointImpedance, generator)).1, refused);

@@ -18,7 +18,7 @@ fn options_become_settings() {
     let plain = parsed(&[]).expect("defaults");
     assert_eq!((plain.protocol, plain.robot, plain.port), (Protocol::V10, RobotKind::Fr3, 1337));
     assert_eq!(plain.address.to_string(), "127.0.0.7");
-    assert_eq!((plain.patience, plain.base_acceleration[2]), (Duration::ZERO, -9.81));
+    assert_eq!((plain.command_wait, plain.base_acceleration[2]), (Duration::ZERO, -9.81));
     let rich = parsed(&[
         "--protocol=5",
         "--mounting=0.1,0.2",
@@ -26,7 +26,7 @@ fn options_become_settings() {
         "--base-acceleration=mounting",
         "--fault=loss=0.1,at=motion,for=2",
         "--fault=tcp-reset,at=5",
-        "--patience=20",
+        "--command-wait=20",
     ])
     .expect("options");
     assert_eq!((rich.robot, rich.start[3], rich.mounting.phi), (RobotKind::Panda, -2.0, 0.2));
@@ -42,7 +42,7 @@ fn options_become_settings() {
     );
     assert_eq!(rich.compensates, upright);
     assert_eq!((rich.faults[0].kind, rich.faults[1].kind), (Kind::Loss(0.1), Kind::TcpReset));
-    assert_eq!(rich.patience, Duration::from_millis(20));
+    assert_eq!(rich.command_wait, Duration::from_millis(20));
     for wrong in [
         "--protocol=7",
         "--robot=ur10",

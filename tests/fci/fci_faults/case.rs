@@ -1,4 +1,4 @@
-//! One case: the emulator, the daemon as people start it, a fault at a moment, and what became of it.
+//! One case: the emulator, the daemon as its users start it, and a fault at a moment of the job.
 
 use super::judge::{Judged, judge};
 use super::scene::Scene;
@@ -8,14 +8,14 @@ use plumbline_franka::wire::{Protocol, RobotMode};
 use plumbline_ipc::Status;
 use plumbline_model::Mounting;
 use plumbline_testkit::emulator::limits::JOINTS;
-use plumbline_testkit::emulator::{Emulator, Fault, Hand, Settings, address};
+use plumbline_testkit::emulator::{Emulator, Fault, OperatorAction, Settings, address};
 use plumbline_testkit::job::{Place, Running, plumbline};
 use std::net::IpAddr;
 use std::process::Command;
 use std::time::{Duration, Instant};
 
 #[derive(Clone, Copy, Debug)]
-pub enum Trouble {
+pub enum Disturbance {
     /// Faults of the emulator, as its command line has them.
     Faults(&'static [&'static str]),
     UserStop,
@@ -43,7 +43,7 @@ impl When {
 
 #[derive(Clone, Debug)]
 pub struct Case {
-    pub trouble: Trouble,
+    pub disturbance: Disturbance,
     pub when: When,
     /// More of the job: `key=value`.
     pub sets: Vec<String>,
@@ -97,8 +97,8 @@ fn leave_in_reflex(address: IpAddr) {
 }
 
 impl Case {
-    pub fn new(trouble: Trouble, when: When) -> Case {
-        Case { trouble, when, sets: Vec::new() }
+    pub fn new(disturbance: Disturbance, when: When) -> Case {
+        Case { disturbance, when, sets: Vec::new() }
     }
 
     pub fn with(mut self, sets: &[&str]) -> Case {
@@ -106,34 +106,34 @@ impl Case {
         self
     }
 
-    pub fn strike(&self, emulator: &Emulator) {
-        match self.trouble {
-            Trouble::Faults(texts) => texts.iter().for_each(|text| {
+    pub fn inject(&self, emulator: &Emulator) {
+        match self.disturbance {
+            Disturbance::Faults(texts) => texts.iter().for_each(|text| {
                 let fault: Fault = text.parse().unwrap_or_else(|error| panic!("{error}"));
                 // Whatever is wrong before the connection stays so until the arm moves.
                 let lasting = Fault { lasts: None, ..fault };
                 emulator.fault(if self.when == When::Connect { lasting } else { fault });
             }),
-            Trouble::UserStop => emulator.hand(Hand::UserStop),
-            Trouble::Reflex => emulator.hand(Hand::Push),
-            Trouble::None => {}
+            Disturbance::UserStop => emulator.operate(OperatorAction::UserStop),
+            Disturbance::Reflex => emulator.operate(OperatorAction::Push),
+            Disturbance::None => {}
         }
     }
 
-    /// How long the robot's time stands still at most for a command that is due. A machine with other work stalls for longer than the
+    /// How long the robot's time is paused at most for a command that is due. A machine with other work stalls for longer than the
     /// 20 ms that a robot waits, which is no fault of the case's: 20 commands are missing after 80 ms then, still before the daemon
     /// calls the robot silent. Where the fault is one of timing, a robot's time is as strict as it is.
-    fn patience(&self) -> Duration {
+    fn command_wait(&self) -> Duration {
         let timing = |text: &&str| ["delay", "jitter", "reorder"].iter().any(|kind| text.starts_with(kind));
-        match self.trouble {
-            Trouble::Faults(texts) if texts.iter().any(timing) => Duration::ZERO,
+        match self.disturbance {
+            Disturbance::Faults(texts) if texts.iter().any(timing) => Duration::ZERO,
             _ => Duration::from_millis(3),
         }
     }
 
     /// Whether a connection has to be there for it to go wrong.
     pub fn is_reset(&self) -> bool {
-        matches!(self.trouble, Trouble::Faults([text, ..]) if text.starts_with("tcp-reset"))
+        matches!(self.disturbance, Disturbance::Faults([text, ..]) if text.starts_with("tcp-reset"))
     }
 
     fn command(&self, place: &Place, address: IpAddr) -> Command {
@@ -163,28 +163,28 @@ impl Case {
         let log = place.path().join("cycles.csv");
         let settings = Settings {
             mounting: Mounting::WALL,
-            patience: self.patience(),
+            command_wait: self.command_wait(),
             log: Some(log.clone()),
             ..Settings::new(address, Protocol::V5)
         };
         let emulator = Emulator::start(settings).unwrap_or_else(|error| panic!("{error}"));
         prioritise(address);
-        match (self.when, self.trouble) {
-            (When::Connect, Trouble::Reflex) => leave_in_reflex(address),
+        match (self.when, self.disturbance) {
+            (When::Connect, Disturbance::Reflex) => leave_in_reflex(address),
             // There is no connection to reset yet.
-            (When::Connect, _) if !self.is_reset() => self.strike(&emulator),
+            (When::Connect, _) if !self.is_reset() => self.inject(&emulator),
             _ => {}
         }
         let daemon = Running::start(self.command(&place, address));
-        let (client, status, struck_at, begun) = (None, None, None, Instant::now());
-        let mut scene = Scene { case: self, emulator, place, daemon, client, status, struck_at, moved: false, begun };
+        let (client, status, injected_at, begun) = (None, None, None, Instant::now());
+        let mut scene = Scene { case: self, emulator, place, daemon, client, status, injected_at, moved: false, begun };
         let done = scene.play();
-        let Scene { emulator, place, daemon, status, struck_at, moved, client, .. } = scene;
+        let Scene { emulator, place, daemon, status, injected_at, moved, client, .. } = scene;
         drop(client);
         let ended = daemon.end();
         // The arm may still brake.
-        let patience = Instant::now() + Duration::from_secs(2);
-        while emulator.snapshot().state.dq_d != [0.0; JOINTS] && Instant::now() < patience {
+        let until = Instant::now() + Duration::from_secs(2);
+        while emulator.snapshot().state.dq_d != [0.0; JOINTS] && Instant::now() < until {
             std::thread::sleep(Duration::from_millis(5));
         }
         std::thread::sleep(Duration::from_millis(50));
@@ -192,14 +192,14 @@ impl Case {
         drop(emulator);
         let arm = judge(&log);
         drop(place);
-        let rest_after = struck_at.filter(|_| moved).zip(arm.last_moved).map(|(from, to)| to.saturating_sub(from));
+        let rest_after = injected_at.filter(|_| moved).zip(arm.last_moved).map(|(from, to)| to.saturating_sub(from));
         Ending { code: ended.code, output: ended.err, status, done, arm, rest_after, mode }
     }
 }
 
 impl Ending {
-    /// Everything, for the message of an assertion that failed.
-    pub fn words(&self) -> String {
+    /// All of it, for the message of a failed assertion.
+    pub fn describe(&self) -> String {
         format!(
             "exit code {:?}, all driven: {}, mode {}, {:?}\n{}\nstatus: {:#?}",
             self.code, self.done, self.mode, self.arm, self.output, self.status
@@ -218,22 +218,22 @@ impl Ending {
         self.output.matches("going on by itself").count()
     }
 
-    pub fn last_words(&self) -> &str {
+    pub fn last_line(&self) -> &str {
         self.output.lines().rfind(|line| line.starts_with("plumbline: ")).unwrap_or("")
     }
 
     /// What must be so in every case: inside the limits, at rest in the end, and a cause and a next step where it did not go on.
     pub fn objection(&self) -> Option<String> {
-        if !self.arm.broken.is_empty() {
-            return Some(format!("the arm broke its limits: {:?}", self.arm.broken));
+        if !self.arm.violations.is_empty() {
+            return Some(format!("the arm broke its limits: {:?}", self.arm.violations));
         }
         if !self.arm.at_rest {
             return Some("the arm is not at rest".into());
         }
         match self.code {
             Some(0) => None,
-            Some(1) if NEXT_STEPS.iter().any(|words| self.last_words().contains(words)) => None,
-            _ => Some(format!("exit code {:?} with the words `{}`", self.code, self.last_words())),
+            Some(1) if NEXT_STEPS.iter().any(|words| self.last_line().contains(words)) => None,
+            _ => Some(format!("exit code {:?} with the words `{}`", self.code, self.last_line())),
         }
     }
 }

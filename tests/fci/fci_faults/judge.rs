@@ -14,7 +14,7 @@ const STANDS: f64 = 0.05;
 #[derive(Clone, Debug, Default)]
 pub struct Judged {
     /// Limits that were broken, in words; the first few.
-    pub broken: Vec<String>,
+    pub violations: Vec<String>,
     /// Whether the arm stood still in the end, and no motion ran.
     pub at_rest: bool,
     /// Number of the last state in which the arm was still to move.
@@ -68,8 +68,8 @@ pub fn judge(log: &Path) -> Judged {
                 ("torque", now.tau[j], inside(now.tau[j], limits.tau[j])),
             ];
             for (what, value, kept) in checks {
-                if !kept && judged.broken.len() < 5 {
-                    judged.broken.push(format!("state {}: {what} of joint {} is {value}", now.id, j + 1));
+                if !kept && judged.violations.len() < 5 {
+                    judged.violations.push(format!("state {}: {what} of joint {} is {value}", now.id, j + 1));
                 }
             }
             judged.speed = judged.speed.max(now.dq_d[j].abs() / limits.dq[j]);

@@ -4,12 +4,12 @@ use super::case::{Case, When};
 use plumbline_core::Phase;
 use plumbline_ipc::{Client, Progress, Request, Response, RobotId, Status};
 use plumbline_testkit::emulator::limits::JOINTS;
-use plumbline_testkit::emulator::{Emulator, Hand};
+use plumbline_testkit::emulator::{Emulator, OperatorAction};
 use plumbline_testkit::job::{Place, Running};
 use std::time::{Duration, Instant};
 
 /// Longest time that a case may take.
-const MOST: Duration = Duration::from_secs(60);
+const MOST: Duration = Duration::from_secs(240);
 const ANSWER: Duration = Duration::from_secs(2);
 
 pub struct Scene<'a> {
@@ -19,7 +19,7 @@ pub struct Scene<'a> {
     pub daemon: Running,
     pub client: Option<Client>,
     pub status: Option<Box<Status>>,
-    pub struck_at: Option<u64>,
+    pub injected_at: Option<u64>,
     pub moved: bool,
     pub begun: Instant,
 }
@@ -62,27 +62,27 @@ impl Scene<'_> {
         self.emulator.snapshot().state.dq_d.iter().fold(0.0, |most: f64, dq| most.max(dq.abs()))
     }
 
-    fn strike(&mut self) {
+    fn inject(&mut self) {
         let state = self.emulator.snapshot().state;
-        self.struck_at = Some(state.message_id);
+        self.injected_at = Some(state.message_id);
         self.moved = state.dq_d != [0.0; JOINTS];
-        self.case.strike(&self.emulator);
+        self.case.inject(&self.emulator);
     }
 
     /// Plays the case until the daemon ends; whether everything was driven.
     pub fn play(&mut self) -> bool {
         if self.case.when == When::Connect && self.case.is_reset() {
             self.wait(|scene| scene.emulator.snapshot().connected);
-            self.strike();
+            self.inject();
         }
         self.wait(|scene| scene.look().is_some() && scene.emulator.snapshot().connected);
         if self.case.when == When::Serve {
             std::thread::sleep(Duration::from_millis(300));
-            self.strike();
+            self.inject();
             // Long enough for every fault of the campaign to be over and for the daemon to get over it.
             let until = Instant::now() + Duration::from_millis(1500);
             self.wait(|_| Instant::now() > until);
-            self.emulator.hand(Hand::Release);
+            self.emulator.operate(OperatorAction::Release);
             let until = Instant::now() + Duration::from_millis(300);
             self.wait(|scene| scene.look().is_some() && Instant::now() > until);
             self.ask(&Request::Quit {});
@@ -101,7 +101,7 @@ impl Scene<'_> {
                 self.wait(|scene| scene.speed() > 0.1);
                 let from = Instant::now() + Duration::from_millis(400);
                 if self.wait(|scene| Instant::now() > from && scene.speed() > 0.1) {
-                    self.strike();
+                    self.inject();
                 }
             }
             When::Excite | When::Stop => {
@@ -111,7 +111,7 @@ impl Scene<'_> {
                     if self.case.when == When::Stop {
                         self.ask(&Request::Quit {});
                     }
-                    self.strike();
+                    self.inject();
                 }
             }
             When::Serve => {}

@@ -1,31 +1,31 @@
 //! Every fault at every phase, and the table that says what came of it.
 
-use super::case::{Case, Ending, Trouble, When};
+use super::case::{Case, Disturbance, Ending, When};
 use std::collections::BTreeMap;
 use std::fmt::Write;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 struct Row {
     name: &'static str,
-    trouble: Trouble,
+    disturbance: Disturbance,
     /// Whether the protocol allows for it, so that a job has to get over it wherever it comes.
     tolerated: bool,
 }
 
 impl Row {
     /// Whether the job goes on: an arm that is only watched does not care whether commands arrive, and states may be late.
-    fn must_be_got_over(&self, when: When) -> bool {
+    fn must_continue(&self, when: When) -> bool {
         let at_rest = ["loss: all commands", "delay", "jitter", "protocol version", "user stop", "reflex"];
         self.tolerated || (when == When::Serve && at_rest.iter().any(|name| self.name.starts_with(name)))
     }
 }
 
 const fn network(name: &'static str, faults: &'static [&'static str], tolerated: bool) -> Row {
-    Row { name, trouble: Trouble::Faults(faults), tolerated }
+    Row { name, disturbance: Disturbance::Faults(faults), tolerated }
 }
 
 const ROWS: &[Row] = &[
-    Row { name: "nothing", trouble: Trouble::None, tolerated: true },
+    Row { name: "nothing", disturbance: Disturbance::None, tolerated: true },
     network("loss: 2 % for 1 s", &["loss=0.02,for=1"], true),
     network("loss: all for 0.3 s", &["loss=1,for=0.3"], false),
     network("loss: all commands for 0.3 s", &["loss=1,of=commands,for=0.3"], false),
@@ -42,8 +42,8 @@ const ROWS: &[Row] = &[
     network("TCP reset", &["tcp-reset"], false),
     network("the robot is silent for 0.3 s", &["silence,for=0.3"], false),
     network("protocol version 4 for 1 s", &["wrong-version=4,for=1"], false),
-    Row { name: "user stop", trouble: Trouble::UserStop, tolerated: false },
-    Row { name: "reflex (somebody pushes)", trouble: Trouble::Reflex, tolerated: false },
+    Row { name: "user stop", disturbance: Disturbance::UserStop, tolerated: false },
+    Row { name: "reflex (somebody pushes)", disturbance: Disturbance::Reflex, tolerated: false },
 ];
 
 /// Cases that are played at once: each has threads of its own that sleep most of the time.
@@ -96,7 +96,7 @@ fn cell(case: &Case, ending: &Ending, tries: u32) -> String {
         (Some(0), When::Stop) => "stops as asked".into(),
         (Some(0), _) if ending.done => format!("driven to the end{}", counts(ending)),
         (Some(0), _) => "ends, not everything driven".into(),
-        (Some(1), _) => format!("exit 1: {}{}{rest}", named(ending.last_words()), tcp_status(ending.last_words())),
+        (Some(1), _) => format!("exit 1: {}{}{rest}", named(ending.last_line()), tcp_status(ending.last_line())),
         (other, _) => format!("exit {other:?}"),
     };
     match ending.recoveries() {
@@ -125,14 +125,14 @@ fn counts(ending: &Ending) -> String {
 fn play(row: &Row, case: &Case) -> (String, Option<String>) {
     for tries in 1.. {
         let ending = case.run();
-        let over = ending.code == Some(0) || !row.must_be_got_over(case.when);
+        let over = ending.code == Some(0) || !row.must_continue(case.when);
         if !over && ending.stalled() && tries < 4 && ending.objection().is_none() {
             continue;
         }
         let text = cell(case, &ending, tries);
         eprintln!("{:<32} {:<8} {text}", row.name, format!("{:?}", case.when));
         let unexpected = (!over).then(|| "the fault was not got over".to_string()).or_else(|| ending.objection());
-        return (text, unexpected.map(|why| format!("{}, {:?}: {why}\n{}", row.name, case.when, ending.words())));
+        return (text, unexpected.map(|why| format!("{}, {:?}: {why}\n{}", row.name, case.when, ending.describe())));
     }
     unreachable!("the loop returns")
 }
@@ -150,7 +150,7 @@ fn table(rows: &[&Row], whens: &[When], sets: &[&str], wrong: &mut Vec<String>) 
             scope.spawn(|| {
                 loop {
                     let Some((r, w)) = held(&waiting).pop() else { return };
-                    let case = Case::new(rows[r].trouble, whens[w]).with(sets);
+                    let case = Case::new(rows[r].disturbance, whens[w]).with(sets);
                     let (text, more) = play(rows[r], &case);
                     held(&unexpected).extend(more);
                     held(&cells).insert((r, w), text);

@@ -37,7 +37,7 @@ fn a_follower_with_pauses_receives_every_record_once_and_in_order() {
         poll_until(server, stop);
         server.served()
     });
-    let mut stream = SampleStream::connect(&robot, settings(), PATIENCE).unwrap();
+    let mut stream = SampleStream::connect(&robot, settings(), TIMEOUT).unwrap();
     go.send(()).unwrap();
     let mut random = ChaCha8Rng::seed_from_u64(2);
     // Pauses of 60 ms: more records than the buffer's capacity are published.
@@ -78,7 +78,7 @@ fn late_and_paused_followers_receive_every_record() {
         (server.served(), std::iter::from_fn(|| server.take_follower_event()).collect::<Vec<_>>())
     });
     more.send(10_000).unwrap();
-    let mut late = SampleStream::connect(&robot, settings(), PATIENCE).unwrap();
+    let mut late = SampleStream::connect(&robot, settings(), TIMEOUT).unwrap();
     assert!(read_until(&mut late, 10_000, || ()).is_empty());
 
     // More than the buffer's capacity and nothing after it: the loss at the end is detected without a later batch.
@@ -87,7 +87,7 @@ fn late_and_paused_followers_receive_every_record() {
     assert!(read_until(&mut late, 30_000, || ()).is_empty());
 
     // A second one from the middle on.
-    let mut middle = SampleStream::connect(&robot, StreamSettings { from: 29_000, ..settings() }, PATIENCE).unwrap();
+    let mut middle = SampleStream::connect(&robot, StreamSettings { from: 29_000, ..settings() }, TIMEOUT).unwrap();
     assert!(read_until(&mut middle, 30_000, || ()).is_empty());
     assert_eq!(middle.counters().received, 1000);
 
@@ -107,7 +107,7 @@ fn discarded_records_are_counted_and_reported_as_missed() {
         poll_until(server, stop);
         server.served()
     });
-    let mut stream = SampleStream::connect(&robot, settings(), PATIENCE).unwrap();
+    let mut stream = SampleStream::connect(&robot, settings(), TIMEOUT).unwrap();
     let missed = read_until(&mut stream, 20_000, || ());
     let counters = stream.counters();
     let served = daemon.stop();
@@ -137,10 +137,10 @@ fn clients_that_never_read_do_not_affect_the_others() {
         server.served()
     });
     // Two followers and 24 feed-forward clients that are connected and idle.
-    let idle: Vec<_> = (0..2).map(|_| SampleStream::connect(&robot, settings(), PATIENCE).unwrap()).collect();
-    let connect = || FeedForwardClient::connect(&robot, FeedForwardSettings::default(), PATIENCE).unwrap();
+    let idle: Vec<_> = (0..2).map(|_| SampleStream::connect(&robot, settings(), TIMEOUT).unwrap()).collect();
+    let connect = || FeedForwardClient::connect(&robot, FeedForwardSettings::default(), TIMEOUT).unwrap();
     let mut clients: Vec<_> = (0..24).map(|_| connect()).collect();
-    let mut reader = SampleStream::connect(&robot, settings(), PATIENCE).unwrap();
+    let mut reader = SampleStream::connect(&robot, settings(), TIMEOUT).unwrap();
     go.send(()).unwrap();
     assert!(read_until(&mut reader, TOTAL, || ()).is_empty());
 
@@ -168,8 +168,8 @@ fn a_feed_forward_value_becomes_stale_and_the_end_of_the_daemon_is_detected() {
     });
     // An hour: independent of the speed of the test machine.
     let hour = FeedForwardSettings { stale_after_ms: 3_600_000 };
-    let mut client = FeedForwardClient::connect(&robot, hour, PATIENCE).unwrap();
-    let mut strict = FeedForwardClient::connect(&robot, FeedForwardSettings::default(), PATIENCE).unwrap();
+    let mut client = FeedForwardClient::connect(&robot, hour, TIMEOUT).unwrap();
+    let mut strict = FeedForwardClient::connect(&robot, FeedForwardSettings::default(), TIMEOUT).unwrap();
     assert_eq!(client.latest().unwrap(), None);
     assert_eq!(client.daemon(), Presence::Running);
 
@@ -235,32 +235,32 @@ fn requests_get_responses_and_malformed_ones_are_refused() {
         }
         server.served()
     });
-    let mut client = Client::connect(&robot, PATIENCE).unwrap();
-    assert_eq!(client.send(&Request::Stop {}, PATIENCE).unwrap(), Response::Accepted {});
+    let mut client = Client::connect(&robot, TIMEOUT).unwrap();
+    assert_eq!(client.send(&Request::Stop {}, TIMEOUT).unwrap(), Response::Accepted {});
     let offer = |toml: String| Request::OfferModel { toml };
-    assert_eq!(client.send(&offer(model), PATIENCE).unwrap(), Response::ModelAccepted { model: 77 });
+    assert_eq!(client.send(&offer(model), TIMEOUT).unwrap(), Response::ModelAccepted { model: 77 });
     let refused = Response::Refused { reason: "3 bytes of another model".into() };
-    assert_eq!(client.send(&offer("a=1".into()), PATIENCE).unwrap(), refused);
-    let error = client.send(&offer("x".repeat(MAX_REQUEST_BYTES)), PATIENCE).unwrap_err();
+    assert_eq!(client.send(&offer("a=1".into()), TIMEOUT).unwrap(), refused);
+    let error = client.send(&offer("x".repeat(MAX_REQUEST_BYTES)), TIMEOUT).unwrap_err();
     assert!(matches!(error, IpcError::TooLong { .. }), "{error}");
-    let Response::Refused { reason } = client.send(&Request::Resume {}, PATIENCE).unwrap() else { panic!() };
+    let Response::Refused { reason } = client.send(&Request::Resume {}, TIMEOUT).unwrap() else { panic!() };
     assert!(reason.contains("the limit is"), "{reason}");
 
     // Random bytes of all lengths from several clients.
-    let mut others: Vec<_> = (0..4).map(|_| Client::connect(&robot, PATIENCE).unwrap()).collect();
+    let mut others: Vec<_> = (0..4).map(|_| Client::connect(&robot, TIMEOUT).unwrap()).collect();
     let mut random = ChaCha8Rng::seed_from_u64(3);
     for round in 0..200 {
         let mut bytes = vec![0; random.random_range(1..5000)];
         random.fill_bytes(&mut bytes);
-        let answer = others[round % 4].send_bytes(&bytes, PATIENCE).unwrap();
+        let answer = others[round % 4].send_bytes(&bytes, TIMEOUT).unwrap();
         assert!(matches!(answer, Response::Refused { .. }), "{answer:?}");
     }
     let huge = vec![b'['; MAX_REQUEST_BYTES + 1];
-    assert!(matches!(client.send_bytes(&huge, PATIENCE).unwrap(), Response::Refused { .. }));
-    let Response::Status(status) = client.send(&Request::Status {}, PATIENCE).unwrap() else { panic!() };
+    assert!(matches!(client.send_bytes(&huge, TIMEOUT).unwrap(), Response::Refused { .. }));
+    let Response::Status(status) = client.send(&Request::Status {}, TIMEOUT).unwrap() else { panic!() };
     assert_eq!((status.cycles, status.served.garbled_requests), (5, 201));
 
-    assert_eq!(client.send(&Request::Quit {}, PATIENCE).unwrap(), Response::Accepted {});
+    assert_eq!(client.send(&Request::Quit {}, TIMEOUT).unwrap(), Response::Accepted {});
     assert_eq!(daemon.stop().trouble, None);
     let error = client.send(&Request::Status {}, Duration::from_millis(20)).unwrap_err();
     assert!(matches!(error, IpcError::NoDaemon { .. }), "{error}");
@@ -285,14 +285,14 @@ fn a_request_bound_to_another_epoch_is_refused() {
         }
         started
     });
-    let mut client = Client::connect(&robot, PATIENCE).unwrap();
-    let Response::Status(status) = client.send(&Request::Status {}, PATIENCE).unwrap() else { panic!() };
+    let mut client = Client::connect(&robot, TIMEOUT).unwrap();
+    let Response::Status(status) = client.send(&Request::Status {}, TIMEOUT).unwrap() else { panic!() };
     client.bind(status.served.epoch);
-    assert_eq!(client.send(&Request::Start {}, PATIENCE).unwrap(), Response::Accepted {});
+    assert_eq!(client.send(&Request::Start {}, TIMEOUT).unwrap(), Response::Accepted {});
     client.bind(status.served.epoch + 1);
     // Light and heavy.
     for request in [Request::Start {}, Request::OfferModel { toml: "x".repeat(20_000) }] {
-        let Response::Refused { reason } = client.send(&request, PATIENCE).unwrap() else { panic!() };
+        let Response::Refused { reason } = client.send(&request, TIMEOUT).unwrap() else { panic!() };
         assert!(reason.contains(&format!("this is start {}", status.served.epoch)), "{reason}");
     }
     assert_eq!(daemon.stop(), 1);
@@ -318,13 +318,13 @@ fn no_daemon_a_busy_daemon_and_a_second_daemon_are_different_errors() {
     let busy = Daemon::start(&robot, ServerSettings::default(), |_, stop| {
         wait_for("the end of the test", || stop.load(Ordering::Relaxed));
     });
-    let mut client = Client::connect(&robot, PATIENCE).unwrap();
+    let mut client = Client::connect(&robot, TIMEOUT).unwrap();
     for _ in 0..5 {
         let error = client.send(&Request::Status {}, Duration::from_millis(20)).unwrap_err();
         assert!(matches!(error, IpcError::NoAnswer { .. }), "{error}");
     }
     let hasty = StreamSettings { response_timeout: Duration::from_millis(20), heartbeat: Duration::ZERO, ..settings() };
-    let mut stream = SampleStream::connect(&robot, hasty, PATIENCE).unwrap();
+    let mut stream = SampleStream::connect(&robot, hasty, TIMEOUT).unwrap();
     for _ in 0..5 {
         assert_eq!(stream.next(Duration::from_millis(40)).unwrap(), Delivery::Idle);
     }

@@ -51,15 +51,15 @@ fn inside() {
             std::thread::sleep(Duration::from_millis(1));
         }
     });
-    let ask = || Client::connect(&robot, PATIENCE).unwrap().send(&Request::Status {}, PATIENCE).unwrap();
+    let ask = || Client::connect(&robot, TIMEOUT).unwrap().send(&Request::Status {}, TIMEOUT).unwrap();
     ask();
     // A symbolic link is rejected like another user's file, and needs no second user.
     let foreign = format!("/dev/shm/plumbline_{}_x", rustix::process::geteuid().as_raw());
     symlink("/etc/hostname", &foreign).unwrap();
 
     assert!(matches!(ask(), Response::Refused { reason } if reason == "received"));
-    SampleStream::connect(&robot, StreamSettings::default(), PATIENCE).unwrap();
-    FeedForwardClient::connect(&robot, FeedForwardSettings::default(), PATIENCE).unwrap();
+    SampleStream::connect(&robot, StreamSettings::default(), TIMEOUT).unwrap();
+    FeedForwardClient::connect(&robot, FeedForwardSettings::default(), TIMEOUT).unwrap();
     let refused = Server::open(&plumbline_testkit::memory::robot("second"), ServerSettings::default()).err().unwrap();
     assert!(refused.to_string().contains(&foreign), "{refused}");
     daemon.stop();

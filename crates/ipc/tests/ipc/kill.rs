@@ -36,7 +36,7 @@ fn child() {
 
 /// Follows the samples for ever and prints its position.
 fn follow(robot: &RobotId) {
-    let mut stream = SampleStream::connect(robot, StreamSettings::default(), PATIENCE).unwrap();
+    let mut stream = SampleStream::connect(robot, StreamSettings::default(), TIMEOUT).unwrap();
     loop {
         let goal = stream.position() + 100;
         read_until(&mut stream, goal, || ());
@@ -148,7 +148,7 @@ fn the_successor_of_a_killed_follower_receives_every_record_and_the_daemon_never
         assert!(published.load(Ordering::Relaxed) > at_death, "round {round}");
     }
 
-    let mut successor = SampleStream::connect(&robot, StreamSettings::default(), PATIENCE).unwrap();
+    let mut successor = SampleStream::connect(&robot, StreamSettings::default(), TIMEOUT).unwrap();
     let end = published.load(Ordering::Relaxed) + 5000;
     assert!(read_until(&mut successor, end, || ()).is_empty());
     let counters = successor.counters();
@@ -165,8 +165,8 @@ fn after_a_killed_daemon_the_next_start_is_clean() {
     let locks = directory.path();
     let mut random = ChaCha8Rng::seed_from_u64(5);
     let mut daemon = Process::start("daemon", &robot, locks);
-    let mut stream = SampleStream::connect(&robot, StreamSettings::default(), PATIENCE).unwrap();
-    let mut client = FeedForwardClient::connect(&robot, FeedForwardSettings::default(), PATIENCE).unwrap();
+    let mut stream = SampleStream::connect(&robot, StreamSettings::default(), TIMEOUT).unwrap();
+    let mut client = FeedForwardClient::connect(&robot, FeedForwardSettings::default(), TIMEOUT).unwrap();
 
     for round in 1..=5 {
         wait_for("the daemon's start", || daemon.at() != 0);
@@ -202,8 +202,8 @@ fn after_a_killed_daemon_the_next_start_is_clean() {
     assert_eq!(stream.counters().missed, 0);
 
     // A new client connects to the running daemon.
-    let mut commands = Client::connect(&robot, PATIENCE).unwrap();
-    let Response::Status(status) = commands.send(&Request::Status {}, PATIENCE).unwrap() else { panic!() };
+    let mut commands = Client::connect(&robot, TIMEOUT).unwrap();
+    let Response::Status(status) = commands.send(&Request::Status {}, TIMEOUT).unwrap() else { panic!() };
     assert_eq!(status.served.epoch, daemon.at());
     assert_eq!(status.served.trouble, None);
 }

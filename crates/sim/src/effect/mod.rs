@@ -56,7 +56,7 @@ mod twist;
 pub(super) use friction::Friction;
 use friction::sign;
 pub(crate) use place::Place;
-pub use spec::EffectSpec;
+pub use spec::{EffectSpec, Kind};
 pub use trend::Trend;
 
 use super::spatial::Inertia;

@@ -18,6 +18,9 @@ const EXTERNAL_CORNER: f64 = 10.0;
 const ACCELEROMETER_NOISE: f64 = 0.02;
 /// Joint that is pushed against, how hard \[Nm\] and for how long \[ms\]: more than any threshold of libfranka's examples, less than the joint's range.
 const PUSH: (usize, f64, u32) = (3, 40.0, 100);
+/// Inertia of each rotor at its joint's side of the gear \[kg m2\], as MuJoCo's model of the arm has it. Without rotors the wrist would weigh so
+/// little that the damping of libfranka's joint impedance example oscillates between two cycles.
+const ROTOR_INERTIA: f64 = 0.1;
 /// What a client gets that has set no load.
 const NO_LOAD: Load = Load { mass: 0.0, com: [0.0; 3], inertia: [0.0; 9] };
 
@@ -67,7 +70,8 @@ impl Body {
         start: &Joints,
         seed: u64,
     ) -> Result<Body, SimError> {
-        let mut hardware = Hardware::new(&chain, truth, mounting, &wide(start), seed)?;
+        let moving = truth.clone().with_rotors(ROTOR_INERTIA);
+        let mut hardware = Hardware::new(&chain, &moving, mounting, &wide(start), seed)?;
         let sensed = hardware.track(&wide(start));
         let mut friction = [(0.0, 0.0); JOINTS];
         friction.iter_mut().zip(&truth.joints).for_each(|(own, joint)| *own = (joint.fv, joint.fc));
@@ -99,6 +103,9 @@ impl Body {
                 self.hardware.hold(&wide(&std::array::from_fn(|j| tau[j] + gravity[j])))
             }
         };
+        // The torque sensors are on the links' side of the rotors.
+        let ddq = self.hardware.exact().ddq;
+        (0..JOINTS).for_each(|j| self.sensed.tau[j] -= ROTOR_INERTIA * ddq[j]);
         if self.pushed > 0 {
             self.pushed -= 1;
             self.sensed.tau[PUSH.0] += PUSH.1;

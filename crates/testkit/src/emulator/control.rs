@@ -1,6 +1,6 @@
 //! Lines on standard input: actions of the operator, and faults.
 
-use crate::emulator::{Emulator, Hand};
+use crate::emulator::{Emulator, OperatorAction};
 use std::io::BufRead;
 
 const HELP: &str = "user-stop | release | guide | let-go | lock | unlock | push | fault FAULT | heal | status | quit";
@@ -28,18 +28,18 @@ pub fn obey(emulator: &Emulator) {
 }
 
 pub fn carry_out(emulator: &Emulator, line: &str) -> Outcome {
-    let hand = |hand| {
-        emulator.hand(hand);
+    let act = |action| {
+        emulator.operate(action);
         Outcome::Done
     };
     match line.split_once(' ').unwrap_or((line, "")) {
-        ("user-stop", "") => hand(Hand::UserStop),
-        ("release", "") => hand(Hand::Release),
-        ("guide", "") => hand(Hand::Guide),
-        ("let-go", "") => hand(Hand::LetGo),
-        ("lock", "") => hand(Hand::Lock),
-        ("unlock", "") => hand(Hand::Unlock),
-        ("push", "") => hand(Hand::Push),
+        ("user-stop", "") => act(OperatorAction::UserStop),
+        ("release", "") => act(OperatorAction::Release),
+        ("guide", "") => act(OperatorAction::Guide),
+        ("let-go", "") => act(OperatorAction::LetGo),
+        ("lock", "") => act(OperatorAction::Lock),
+        ("unlock", "") => act(OperatorAction::Unlock),
+        ("push", "") => act(OperatorAction::Push),
         ("heal", "") => {
             emulator.heal();
             Outcome::Done

@@ -36,7 +36,7 @@ pub mod urdf;
 
 pub use faults::{Fault, Injector, Kind, Of, Start};
 pub use limits::RobotKind;
-pub use robot::Hand;
+pub use robot::OperatorAction;
 pub use server::{Counts, Snapshot};
 
 use body::Body;
@@ -94,7 +94,7 @@ pub struct Settings {
     pub seed: u64,
     /// Longest pause of the robot's time for a motion's next command. Zero is a robot. More than zero is for tests
     /// of other things than timing on machines that stall: the robot's clock then runs slower than the wall's.
-    pub patience: Duration,
+    pub command_wait: Duration,
     /// Shared library that LoadModelLibrary answers with, versions 5 and 9.
     pub model_library: Option<Vec<u8>>,
     /// `O_ddP_O` of every state \[m/s2\]: (0, 0, -9.81) in any mounting, as robots report without a declared mounting.
@@ -123,7 +123,7 @@ impl Settings {
             compensates: [0.0, 0.0, -G],
             start: READY,
             seed: 1,
-            patience: Duration::ZERO,
+            command_wait: Duration::ZERO,
             model_library: None,
             base_acceleration: [0.0, 0.0, -G],
             first_message_id: 1,
@@ -195,7 +195,7 @@ impl Emulator {
             udp,
             robot,
             injector: Injector::new(&settings.faults, settings.seed),
-            patience: settings.patience,
+            command_wait: settings.command_wait,
             orders: obeyed,
             shared: Arc::clone(&shared),
             log,
@@ -205,8 +205,8 @@ impl Emulator {
         Ok(Emulator { orders: Some(orders), shared, thread: Some(thread) })
     }
 
-    pub fn hand(&self, hand: Hand) {
-        self.order(Order::Hand(hand));
+    pub fn operate(&self, action: OperatorAction) {
+        self.order(Order::Operator(action));
     }
 
     /// One more fault, its times counted from now.

@@ -52,7 +52,7 @@ pub struct Options {
     model_library: Option<PathBuf>,
     /// Milliseconds that the robot's time stands still at most to wait for the next command: not what a robot does
     #[arg(long, default_value_t = 0)]
-    patience: u64,
+    command_wait: u64,
     /// Decides noise and chance
     #[arg(long, default_value_t = 1)]
     seed: u64,
@@ -117,7 +117,7 @@ pub fn settings(options: Options) -> Result<Settings, Box<dyn Error>> {
     if let Some(path) = options.model_library {
         settings.model_library = Some(std::fs::read(&path).map_err(|error| format!("{}: {error}", path.display()))?);
     }
-    settings.patience = Duration::from_millis(options.patience);
+    settings.command_wait = Duration::from_millis(options.command_wait);
     settings.seed = options.seed;
     settings.log = options.log;
     settings.speaks = true;

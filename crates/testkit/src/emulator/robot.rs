@@ -24,7 +24,7 @@ const BLEND: u32 = 200;
 const SHOWN: u32 = 100;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Hand {
+pub enum OperatorAction {
     UserStop,
     Release,
     /// Guides the arm by hand, as long as it is idle.
@@ -348,32 +348,32 @@ impl Robot {
         }
     }
 
-    pub fn hand(&mut self, hand: Hand) {
-        let next = match (hand, self.phase) {
-            (Hand::UserStop, _) => {
+    pub fn operate(&mut self, action: OperatorAction) {
+        let next = match (action, self.phase) {
+            (OperatorAction::UserStop, _) => {
                 self.break_off();
                 Phase::UserStopped
             }
-            (Hand::Lock, _) => {
+            (OperatorAction::Lock, _) => {
                 self.break_off();
                 Phase::Locked
             }
-            (Hand::Release, Phase::UserStopped) | (Hand::LetGo, Phase::Guiding) | (Hand::Unlock, Phase::Locked) => {
-                Phase::Idle
-            }
-            (Hand::Guide, Phase::Idle) => Phase::Guiding,
-            (Hand::Push, same) => {
+            (OperatorAction::Release, Phase::UserStopped)
+            | (OperatorAction::LetGo, Phase::Guiding)
+            | (OperatorAction::Unlock, Phase::Locked) => Phase::Idle,
+            (OperatorAction::Guide, Phase::Idle) => Phase::Guiding,
+            (OperatorAction::Push, same) => {
                 self.events.push("Push".into());
                 self.body.push();
                 same
             }
             (_, same) => {
-                self.events.push(format!("{hand:?} does nothing now"));
+                self.events.push(format!("{action:?} does nothing now"));
                 same
             }
         };
         if next != self.phase {
-            self.events.push(format!("{hand:?}"));
+            self.events.push(format!("{action:?}"));
         }
         self.phase = next;
     }

@@ -5,7 +5,7 @@
 
 use super::faults::{Fault, Injector, Line, Of};
 use super::log::Log;
-use super::robot::{Hand, Robot};
+use super::robot::{OperatorAction, Robot};
 use plumbline_franka::wire::{
     CommandKind, Connect, ConnectStatus, Connected, HEADER_BYTES, Header, MAX_COMMAND, MAX_FIXED_RESPONSE, MAX_REQUEST,
     MAX_STATE, Protocol, Request, Response, RobotCommand, RobotMode, RobotState,
@@ -27,7 +27,7 @@ const POLL_NS: u64 = 50_000;
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Order {
-    Hand(Hand),
+    Operator(OperatorAction),
     Fault(Fault),
     Heal,
 }
@@ -80,7 +80,7 @@ pub struct Server {
     states: Line,
     commands: Line,
     client: Option<Client>,
-    patience: u64,
+    command_wait: u64,
     moving_since: Option<u64>,
     orders: Receiver<Order>,
     shared: Arc<Mutex<Snapshot>>,
@@ -94,7 +94,7 @@ pub struct Parts {
     pub udp: UdpSocket,
     pub robot: Robot,
     pub injector: Injector,
-    pub patience: Duration,
+    pub command_wait: Duration,
     pub orders: Receiver<Order>,
     pub shared: Arc<Mutex<Snapshot>>,
     pub log: Log,
@@ -112,7 +112,7 @@ impl Server {
             states: Line::default(),
             commands: Line::default(),
             client: None,
-            patience: u64::try_from(parts.patience.as_nanos()).unwrap_or(u64::MAX),
+            command_wait: u64::try_from(parts.command_wait.as_nanos()).unwrap_or(u64::MAX),
             moving_since: None,
             orders: parts.orders,
             shared: parts.shared,
@@ -148,7 +148,7 @@ impl Server {
     fn obey(&mut self) -> bool {
         loop {
             match self.orders.try_recv() {
-                Ok(Order::Hand(hand)) => self.robot.hand(hand),
+                Ok(Order::Operator(action)) => self.robot.operate(action),
                 Ok(Order::Fault(fault)) => self.injector.give(fault),
                 Ok(Order::Heal) => self.injector.heal(),
                 Err(TryRecvError::Empty) => return true,
@@ -318,11 +318,11 @@ impl Server {
         Ok(())
     }
 
-    /// The command that answers the state sent last, if it has come. With patience the robot's time is paused until then.
+    /// The command that answers the state sent last, if it has come. With a command wait the robot's time is paused until then.
     fn command(&mut self, next: u64) -> Option<RobotCommand> {
         let mut found = self.look();
         if self.robot.awaits_command() && !self.injector.is_silent() {
-            while found.is_none() && now_ns() < next.saturating_add(self.patience) {
+            while found.is_none() && now_ns() < next.saturating_add(self.command_wait) {
                 sleep_until(now_ns() + POLL_NS);
                 self.deliver();
                 self.listen();

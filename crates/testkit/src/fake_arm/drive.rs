@@ -1,6 +1,6 @@
 //! Runs the loop on a fake arm, on the test's own thread, and looks at what was commanded by a route of its own.
 
-use super::{FakeArm, Seen, Trick};
+use super::{Calls, Disturbance, FakeArm};
 use plumbline_core::{
     FeedForward, JointVec, Kinematics, Limits, MAX_JOINTS, Phase, Record, Reference, Setpoint, Torque,
 };
@@ -141,7 +141,7 @@ pub struct Run {
     pub records: Vec<Record>,
     pub events: Vec<Event>,
     pub timed: Vec<TimedEvent>,
-    pub seen: Arc<Seen>,
+    pub calls: Arc<Calls>,
 }
 
 impl Job {
@@ -165,8 +165,8 @@ impl Job {
         self
     }
 
-    pub fn trick(mut self, read: u64, trick: Trick) -> Job {
-        self.arm = self.arm.at(read, trick);
+    pub fn disturb(mut self, read: u64, disturbance: Disturbance) -> Job {
+        self.arm = self.arm.at(read, disturbance);
         self
     }
 
@@ -177,7 +177,7 @@ impl Job {
 
     pub fn run(self) -> Run {
         let (sink, mut drain) = ring(self.sink);
-        let seen = Arc::clone(&self.arm.seen);
+        let calls = Arc::clone(&self.arm.calls);
         // The handles are shared with the calls that the arm makes in its reads; the lock is never contended.
         let shared: Arc<Mutex<Option<Handles>>> = Arc::default();
         let mut arm = self.arm.at(self.quit_at, call(&shared, |handles| handles.controls.quit()));
@@ -200,14 +200,14 @@ impl Job {
         let timed: Vec<TimedEvent> = std::iter::from_fn(|| handles.events.pop().ok()).collect();
         let events = timed.iter().map(|timed| timed.event).collect();
         handles.free_retired();
-        Run { outcome, records, events, timed, seen }
+        Run { outcome, records, events, timed, calls }
     }
 }
 
-fn call(shared: &Arc<Mutex<Option<Handles>>>, mut act: impl FnMut(&mut Handles) + Send + 'static) -> Trick {
+fn call(shared: &Arc<Mutex<Option<Handles>>>, mut act: impl FnMut(&mut Handles) + Send + 'static) -> Disturbance {
     let shared = Arc::clone(shared);
     // The outside may allocate: on a real machine it is another thread.
-    Trick::Call(Box::new(move || assert_no_alloc::permit_alloc(|| act(shared.lock().unwrap().as_mut().unwrap()))))
+    Disturbance::Call(Box::new(move || assert_no_alloc::permit_alloc(|| act(shared.lock().unwrap().as_mut().unwrap()))))
 }
 
 impl Run {
@@ -242,7 +242,7 @@ impl Run {
     pub fn assert_sound(&self) {
         let summary = &self.outcome.summary;
         assert_eq!(summary.elapsed, summary.cycles + summary.lost);
-        let (reads, writes, stops, after) = self.seen.get();
+        let (reads, writes, stops, after) = self.calls.get();
         assert!(
             stops > 0 && after == 0 && writes <= reads,
             "{reads} reads, {writes} writes, {stops} stops, {after} after"

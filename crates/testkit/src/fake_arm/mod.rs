@@ -1,4 +1,4 @@
-//! What whole-part tests share. Every test binary uses its own part of it.
+//! A backend without dynamics: it is where the last command put it, and a script disturbs it.
 
 pub mod drive;
 
@@ -6,13 +6,13 @@ use plumbline_core::{Backend, Command, Fault, JointVec, MAX_JOINTS, State};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-/// Something that happens to the arm at one of its reads.
-pub enum Trick {
+/// What happens at one of the reads.
+pub enum Disturbance {
     /// So many states before this one never arrive.
     Lose(u64),
     ReadFault(Fault),
     WriteFault(Fault),
-    /// The counter stands still.
+    /// The counter does not advance.
     Repeat,
     /// A NaN in the measured position of a joint.
     NanPosition(usize),
@@ -24,39 +24,39 @@ pub enum Trick {
     Call(Box<dyn FnMut() + Send>),
 }
 
-/// What the arm has seen, readable while the loop owns it.
+/// Calls of the arm, readable while the loop owns it.
 #[derive(Default)]
-pub struct Seen {
+pub struct Calls {
     pub reads: AtomicU64,
     pub writes: AtomicU64,
     pub stops: AtomicU64,
     pub writes_after_stop: AtomicU64,
 }
 
-impl Seen {
+impl Calls {
     pub fn get(&self) -> (u64, u64, u64, u64) {
         let get = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
         (get(&self.reads), get(&self.writes), get(&self.stops), get(&self.writes_after_stop))
     }
 }
 
-/// A perfect arm: it is at once where it is told to be. Tricks are scripted by the number of the read, counted from 0.
+/// An arm without dynamics: it is at once where it is commanded. Disturbances are scripted by the number of the read, counted from 0.
 pub struct FakeArm {
     joints: usize,
     state: State,
-    script: Vec<(u64, Trick)>,
+    script: Vec<(u64, Disturbance)>,
     write_fault: Option<Fault>,
-    pub seen: Arc<Seen>,
+    pub calls: Arc<Calls>,
 }
 
 impl FakeArm {
     pub fn new(joints: usize, start: JointVec) -> FakeArm {
         let state = State { seq: 1000, q: start, q_d: start, ..State::default() };
-        FakeArm { joints, state, script: Vec::new(), write_fault: None, seen: Arc::default() }
+        FakeArm { joints, state, script: Vec::new(), write_fault: None, calls: Arc::default() }
     }
 
-    pub fn at(mut self, read: u64, trick: Trick) -> FakeArm {
-        self.script.push((read, trick));
+    pub fn at(mut self, read: u64, disturbance: Disturbance) -> FakeArm {
+        self.script.push((read, disturbance));
         self
     }
 
@@ -73,20 +73,20 @@ impl Backend for FakeArm {
     }
 
     fn read(&mut self) -> Result<State, Fault> {
-        let read = self.seen.reads.fetch_add(1, Ordering::Relaxed);
+        let read = self.calls.reads.fetch_add(1, Ordering::Relaxed);
         let mut advance = 1;
         let mut out = self.state;
         self.write_fault = None;
-        for (_, trick) in self.script.iter_mut().filter(|(at, _)| *at == read) {
-            match trick {
-                Trick::Lose(count) => advance += *count,
-                Trick::ReadFault(fault) => return Err(*fault),
-                Trick::WriteFault(fault) => self.write_fault = Some(*fault),
-                Trick::Repeat => advance = 0,
-                Trick::NanPosition(joint) => out.q[*joint] = f64::NAN,
-                Trick::Torque(joint, value) => out.tau[*joint] = *value,
-                Trick::Push(joint, distance) => out.q[*joint] += *distance,
-                Trick::Call(call) => call(),
+        for (_, disturbance) in self.script.iter_mut().filter(|(at, _)| *at == read) {
+            match disturbance {
+                Disturbance::Lose(count) => advance += *count,
+                Disturbance::ReadFault(fault) => return Err(*fault),
+                Disturbance::WriteFault(fault) => self.write_fault = Some(*fault),
+                Disturbance::Repeat => advance = 0,
+                Disturbance::NanPosition(joint) => out.q[*joint] = f64::NAN,
+                Disturbance::Torque(joint, value) => out.tau[*joint] = *value,
+                Disturbance::Push(joint, distance) => out.q[*joint] += *distance,
+                Disturbance::Call(call) => call(),
             }
         }
         self.state.seq += advance;
@@ -96,9 +96,9 @@ impl Backend for FakeArm {
     }
 
     fn write(&mut self, command: &Command) -> Result<(), Fault> {
-        self.seen.writes.fetch_add(1, Ordering::Relaxed);
-        if self.seen.stops.load(Ordering::Relaxed) > 0 {
-            self.seen.writes_after_stop.fetch_add(1, Ordering::Relaxed);
+        self.calls.writes.fetch_add(1, Ordering::Relaxed);
+        if self.calls.stops.load(Ordering::Relaxed) > 0 {
+            self.calls.writes_after_stop.fetch_add(1, Ordering::Relaxed);
         }
         assert_eq!(command.seq, self.state.seq, "a command answers the state read last");
         if let Some(fault) = self.write_fault {
@@ -112,6 +112,6 @@ impl Backend for FakeArm {
     }
 
     fn stop(&mut self) {
-        self.seen.stops.fetch_add(1, Ordering::Relaxed);
+        self.calls.stops.fetch_add(1, Ordering::Relaxed);
     }
 }

@@ -1,8 +1,8 @@
-//! What a robot says and lets happen beside motions: setters, the operator's hand, other clients, bad bytes, descriptions.
+//! Behaviour beside motions: setters, the operator's actions, other clients, bad bytes, descriptions.
 
 use super::client::{Answer, Client};
-use super::emulator::{Hand, READY, Settings};
-use super::{address, each_protocol, patient, session};
+use super::emulator::{OperatorAction, READY, Settings};
+use super::{address, each_protocol, session, waiting};
 use plumbline_franka::wire::{
     Architecture, CollisionBehavior, CommandKind, Deviation, ErrorBit, Header, LibraryTarget, Move, MoveController,
     MoveGenerator, MoveStatus, Protocol, RecoveryStatus, Request, RobotCommand, RobotMode, SetterStatus, System,
@@ -30,7 +30,7 @@ fn a_collision_is_a_reflex_by_joint_and_by_force() {
     for (behavior, expected) in
         [(thresholds(0.001, 1e4), ErrorBit::JointReflex), (thresholds(1e4, 0.001), ErrorBit::CartesianReflex)]
     {
-        let (_emulator, mut client) = session(patient(Protocol::V10));
+        let (_emulator, mut client) = session(waiting(Protocol::V10));
         assert_eq!(client.ask(Request::SetCollisionBehavior(behavior)), Answer::Setter(SetterStatus::Success));
         let id = client.start_positions();
         let q = client.state.q_d;
@@ -49,25 +49,25 @@ fn a_collision_is_a_reflex_by_joint_and_by_force() {
 #[test]
 fn the_operators_hand_ends_motions_and_keeps_others_from_starting() {
     each_protocol(|protocol| {
-        let (emulator, mut client) = session(patient(protocol));
+        let (emulator, mut client) = session(waiting(protocol));
         let id = client.start_positions();
         client.step_to(client.state.q_d);
-        emulator.hand(Hand::UserStop);
+        emulator.operate(OperatorAction::UserStop);
         client.until(RobotMode::UserStopped);
         assert!(client.state.reflex_reason.is_empty());
         assert_eq!(client.await_answer(id), Answer::Move(MoveStatus::EmergencyAborted));
         let wanted = Move::new(MoveController::JointImpedance, MoveGenerator::JointPosition);
         let refused = Answer::Move(MoveStatus::NotPossible);
         for (before, mode, after) in [
-            (Hand::UserStop, RobotMode::UserStopped, Hand::Release),
-            (Hand::Lock, RobotMode::Other, Hand::Unlock),
-            (Hand::Guide, RobotMode::Guiding, Hand::LetGo),
+            (OperatorAction::UserStop, RobotMode::UserStopped, OperatorAction::Release),
+            (OperatorAction::Lock, RobotMode::Other, OperatorAction::Unlock),
+            (OperatorAction::Guide, RobotMode::Guiding, OperatorAction::LetGo),
         ] {
-            emulator.hand(before);
+            emulator.operate(before);
             client.until(mode);
             assert_eq!(client.begin(wanted).1, refused, "{mode}");
             assert_eq!(client.ask(Request::AutomaticErrorRecovery), Answer::Recovery(RecoveryStatus::NotPossible));
-            emulator.hand(after);
+            emulator.operate(after);
             client.until(RobotMode::Idle);
         }
         let id = client.start_positions();
@@ -94,7 +94,7 @@ fn a_second_client_is_sent_away_and_the_next_one_served() {
 
 #[test]
 fn a_client_that_goes_leaves_an_arm_at_rest() {
-    let (emulator, mut client) = session(patient(Protocol::V10));
+    let (emulator, mut client) = session(waiting(Protocol::V10));
     client.start_positions();
     let q = client.state.q_d;
     client.step_to(q);
@@ -106,7 +106,7 @@ fn a_client_that_goes_leaves_an_arm_at_rest() {
 
 #[test]
 fn bad_bytes_are_no_commands_and_bad_requests_end_the_session() {
-    let (emulator, mut client) = session(patient(Protocol::V10));
+    let (emulator, mut client) = session(waiting(Protocol::V10));
     let id = client.start_positions();
     let q = client.state.q_d;
     for length in [0, 1, 370, 372, 1000] {
@@ -143,7 +143,7 @@ fn bad_bytes_are_no_commands_and_bad_requests_end_the_session() {
 #[test]
 fn a_description_is_served_while_a_motion_runs() {
     for protocol in [Protocol::V9, Protocol::V10] {
-        let (_emulator, mut client) = session(patient(protocol));
+        let (_emulator, mut client) = session(waiting(protocol));
         let motion = client.start_positions();
         let q = client.state.q_d;
         let id = client.call(Request::GetRobotModel);
@@ -165,7 +165,7 @@ fn models_are_served_where_the_version_has_them() {
     let target = LibraryTarget { architecture: Architecture::X64, system: System::Linux };
     each_protocol(|protocol| {
         let library = Some(vec![1, 2, 3, 4, 5]);
-        let (_emulator, mut client) = session(Settings { model_library: library.clone(), ..patient(protocol) });
+        let (_emulator, mut client) = session(Settings { model_library: library.clone(), ..waiting(protocol) });
         if protocol != Protocol::V10 {
             assert_eq!(client.ask(Request::LoadModelLibrary(target)), Answer::Library(library));
             let other = LibraryTarget { architecture: Architecture::Arm64, ..target };
@@ -190,7 +190,7 @@ fn models_are_served_where_the_version_has_them() {
             }
         }
     });
-    let (_emulator, mut client) = session(patient(Protocol::V5));
+    let (_emulator, mut client) = session(waiting(Protocol::V5));
     assert_eq!(client.ask(Request::LoadModelLibrary(target)), Answer::Library(None));
 }
 
@@ -217,7 +217,7 @@ fn accelerometers_know_the_mounting_and_the_base_does_not() {
 fn a_log_holds_every_millisecond() {
     let dir = tempfile::tempdir().expect("a folder");
     let path = dir.path().join("cycles.csv");
-    let (emulator, mut client) = session(Settings { log: Some(path.clone()), ..patient(Protocol::V10) });
+    let (emulator, mut client) = session(Settings { log: Some(path.clone()), ..waiting(Protocol::V10) });
     let id = client.start_positions();
     let mut q = client.state.q_d;
     client.step_to(q);
@@ -239,7 +239,7 @@ fn a_log_holds_every_millisecond() {
 
 #[test]
 fn a_malformed_move_is_an_invalid_argument() {
-    let (_emulator, mut client) = session(patient(Protocol::V5));
+    let (_emulator, mut client) = session(waiting(Protocol::V5));
     let wanted = Move {
         max_path_deviation: Deviation { translation: -1.0, ..Deviation::default() },
         ..Move::new(MoveController::JointImpedance, MoveGenerator::JointPosition)

@@ -163,7 +163,7 @@ pub struct Fake {
 static NEXT: AtomicU8 = AtomicU8::new(1);
 
 impl Fake {
-    /// A fake of `protocol`; `script` is called once per millisecond, before its state leaves.
+    /// A fake of `protocol`; `script` is called before the first client, and once per millisecond before the state is sent.
     pub fn start(protocol: Protocol, script: impl FnMut(&mut World) + Send + 'static) -> Fake {
         // The process number keeps test programs apart that run at the same time.
         let third = (std::process::id() % 200) as u8 + 20;
@@ -225,6 +225,7 @@ fn run(address: IpAddr, listener: &TcpListener, world: &Mutex<World>, ends: &Ato
     let udp = UdpSocket::bind((address, COMMAND_PORT)).unwrap();
     udp.set_nonblocking(true).unwrap();
     let mut client: Option<Client> = None;
+    script(&mut world.lock().unwrap());
     let mut due = now_ns();
     while !ends.load(Ordering::Relaxed) {
         due += 1_000_000;
