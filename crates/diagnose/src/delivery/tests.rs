@@ -32,11 +32,12 @@ struct Case<'r> {
     judge: Option<&'r Recorded>,
     veto: Option<&'r Recorded>,
     seeds: Vec<Spec>,
+    options: Options,
 }
 
 impl<'r> Case<'r> {
     fn of(identify: &'r Recorded, judge: &'r Recorded) -> Case<'r> {
-        Case { identify, judge: Some(judge), veto: None, seeds: vec![] }
+        Case { identify, judge: Some(judge), veto: None, seeds: vec![], options: Options::default() }
     }
 
     /// Delivers these effects, each with its part of the recording and its score. The plain model has the true parameters.
@@ -51,7 +52,7 @@ impl<'r> Case<'r> {
             identify: &trials,
             veto: &veto,
             judge: &judge,
-            options: &Options::default(),
+            options: &self.options,
             parts: &[],
         };
         let mut before = identify(&structure, &self.identify.experiments).unwrap();
@@ -174,6 +175,21 @@ fn an_unconfirmed_effect_is_delivered_where_its_joint_is_predicted_better_alone(
             assert!(why.is_none_or(|(index, why)| index == 0 && why.starts_with(words)));
         });
     }
+    // No change at all is no better.
+    let judge = recorded(2, 66, tone_and_offset(0.0));
+    Case::of(&identify, &judge).deliver(&effects, |delivery, selected| {
+        let after = model_with(delivery, &[(spec("torque-offset", 1), 0.0)]);
+        assert!(delivery.reason(selected, &[true], &after, &[false]).unwrap().1.contains(": +0.0000 "));
+    });
+    // Then it is not in the model.
+    let (identify, judge) = (recorded(2, 65, |_| [0.0, 0.1]), recorded(2, 66, tone_and_offset(-0.1)));
+    Case::of(&identify, &judge).deliver(&effects, |delivery, selected| {
+        for (confirmed, more) in [(true, 1), (false, 0)] {
+            let (after, withheld) = delivery.of(selected, &[None; 2], &[None; 2], &[confirmed]).unwrap();
+            assert_eq!(after.structure.columns().len(), structure().columns().len() + more);
+            assert_eq!(withheld[0].is_none(), confirmed, "{withheld:?}");
+        }
+    });
 }
 
 #[test]
@@ -202,10 +218,13 @@ fn errors_are_taken_of_the_judging_runs_else_of_those_that_refute_findings() {
     let identify = recorded(2, 69, |_| [0.0; 2]);
     let (small, large) = (recorded(1, 70, tone_and_offset(0.0)), recorded(1, 71, tone_and_offset(2.0)));
     let error = |judge: Option<&Recorded>, veto: Option<&Recorded>| {
-        Case { identify: &identify, judge, veto, seeds: vec![] }.deliver(&[], |delivery, selected| {
-            let after = delivery.extended(&selected.state, &[]).unwrap();
-            delivery.compared(&after).map(|compared| compared.before.validate_rms[1])
-        })
+        Case { identify: &identify, judge, veto, seeds: vec![], options: Options::default() }.deliver(
+            &[],
+            |delivery, selected| {
+                let after = delivery.extended(&selected.state, &[]).unwrap();
+                delivery.compared(&after).map(|compared| compared.before.validate_rms[1])
+            },
+        )
     };
     let near = |error: Option<f64>, offset: f64| {
         let expected = (LEFT_OVER.powi(2) + offset.powi(2) + NOISE.powi(2)).sqrt();
@@ -235,7 +254,7 @@ fn unseen_runs_are_predicted_with_what_acts_in_their_part_of_the_recording() {
         let (before, after) = (compared.before.validate_rms[1], compared.after.validate_rms[1]);
         assert!((before - 2.0).abs() < 0.05 && after < 2.0 * NOISE, "{before} {after}");
         // A part is in no model, and no reason is asked for.
-        let (after, withheld) = delivery.of(selected, &[None; 2], &[None; 2], &[true]).unwrap();
+        let (after, withheld) = delivery.of(selected, &[Some(9.0); 2], &[Some(0.1); 2], &[true]).unwrap();
         assert_eq!(after.structure.columns().len(), structure().columns().len());
         assert_eq!(withheld, [None]);
         // The plain model is identified once more from runs without it.
@@ -288,21 +307,53 @@ fn an_effect_that_adds_to_the_errors_of_unseen_runs_once_it_is_identified_is_wit
 }
 
 #[test]
+fn of_two_effects_the_one_that_explains_too_little_is_withheld_and_the_other_is_delivered() {
+    // Joint 1 has an offset in the identified runs alone.
+    let (identify, judge) = (recorded(2, 86, |_| [0.15, 2.0]), recorded(2, 87, tone_and_offset(2.0)));
+    let effects = [(spec("torque-offset", 0), Span::ALL, 9.0), (spec("torque-offset", 1), Span::ALL, 9.0)];
+    Case::of(&identify, &judge).deliver(&effects, |delivery, selected| {
+        let lack = "what the plain model lacks in joint 1";
+        let explain = format!("on unseen runs the effects explain 49 % of {lack}");
+        let add = format!("on unseen runs the effects add to {lack}");
+        // By the fit of the selection, or by the model that is to be delivered.
+        for (explained, why) in [(0.49, explain), (1.0, add)] {
+            let lacks = [Some(9.0), Some(1e4)];
+            let (after, withheld) =
+                delivery.of(selected, &lacks, &[Some(explained), Some(1.0)], &[true, true]).unwrap();
+            assert_eq!(withheld, [Some(why), None]);
+            assert_eq!(after.structure.columns().len(), structure().columns().len() + 1);
+        }
+    });
+}
+
+#[test]
 fn where_the_noise_is_unknown_the_joints_keep_the_weights_of_the_model_that_the_search_starts_from() {
     // An offset of joint 2 is in the data and repaired: with weights of its own that joint would weigh more.
-    let identify = once(12.0, 78, |_| [0.0, 3.0]);
+    let offset = |_: &At| [0.0, 3.0];
+    let (once, repeated) = (once(12.0, 78, offset), recorded(2, 79, offset));
     let effects = [(spec("torque-offset", 1), Span::ALL, 9.0)];
-    let of = |seeds: Vec<Spec>| {
-        Case { seeds, ..Case::of(&identify, &identify) }.deliver(&effects, |delivery, selected| {
-            let sigma = delivery.extended(&selected.state, &[true]).unwrap().identification.sigma;
-            (sigma, delivery.before.sigma.clone())
+    let of = |identify: &Recorded, seeds: Vec<Spec>, estimator| {
+        let options = Options { estimator, ..Options::default() };
+        Case { seeds, options, ..Case::of(identify, &repeated) }.deliver(&effects, |delivery, selected| {
+            let identification = delivery.extended(&selected.state, &[true]).unwrap().identification;
+            (identification.sigma, delivery.before.sigma.clone(), identification.estimator)
         })
     };
-    let (sigma, plain) = of(vec![]);
+    let (sigma, plain, _) = of(&once, vec![], Estimator::Wls);
     assert_eq!(sigma, plain);
     // Seeds are in the model that the search starts from.
-    let (sigma, plain) = of(vec![spec("torque-offset", 1)]);
+    let (sigma, plain, _) = of(&once, vec![spec("torque-offset", 1)], Estimator::Wls);
     assert!(sigma[1] < 0.5 * plain[1], "{sigma:?} {plain:?}");
+    // The noise is known: weights of its own.
+    let (sigma, plain, _) = of(&repeated, vec![], Estimator::Wls);
+    assert!(sigma[1] < 0.5 * plain[1], "{sigma:?} {plain:?}");
+    // Known in some of the runs is not known.
+    let mut mixed = Recorded { structure: structure(), experiments: once.experiments.clone() };
+    mixed.experiments.extend(repeated.experiments.iter().cloned());
+    let (sigma, plain, _) = of(&mixed, vec![], Estimator::Wls);
+    assert_eq!(sigma, plain);
+    // Another estimator stays the one that was asked for.
+    assert_eq!(of(&once, vec![], Estimator::Ols).2, Estimator::Ols);
 }
 
 /// The arm with this multiple of its fifth joint's acceleration on the torque there, identified with the effect.
