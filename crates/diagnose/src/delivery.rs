@@ -248,40 +248,4 @@ fn negative(fitted: &Fitted, spec: &Spec) -> Option<(String, f64)> {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use plumbline_identify::solve::identify;
-    use plumbline_model::term::effect::Site;
-    use plumbline_testkit::scene::Scene;
-
-    /// The arm with this multiple of its fifth joint's acceleration on the torque there, identified with the effect.
-    fn fitted(scene: &Scene, spec: &Spec, per_acceleration: f64) -> Fitted {
-        let mut run = scene.record(2, 3);
-        for k in 0..run.tau.nrows() {
-            run.tau[(k, 4)] += per_acceleration * scene.motion.ddq[(k % scene.motion.samples(), 4)];
-        }
-        let experiment = Experiment::prepare(&run, &plumbline_identify::Settings::default()).unwrap();
-        let terms =
-            effect::assemble(std::slice::from_ref(spec), &scene.structure.operating_point(&scene.beta)).unwrap();
-        let structure = scene.structure.clone().with(terms).unwrap();
-        let identification = identify(&structure, &[experiment]).unwrap();
-        Fitted { structure, identification }
-    }
-
-    #[test]
-    fn a_parameter_below_zero_is_seen_where_physics_forbids_it() {
-        let scene = Scene::panda_on_the_wall();
-        let of = |family| Spec { family, form: "", site: Site::Joint(4), settings: Vec::new() };
-        // A rotor's column belongs to a term of the whole arm.
-        let rotor = of("rotor-inertia");
-        let (name, value) = negative(&fitted(&scene, &rotor, -0.2), &rotor).unwrap();
-        assert!(name.ends_with('5') && (value + 0.2).abs() < 0.05, "{name} {value}");
-        assert_eq!(negative(&fitted(&scene, &rotor, 0.2), &rotor), None);
-        // An offset may have any sign.
-        let offset = of("torque-offset");
-        let mut below = fitted(&scene, &offset, 0.0);
-        let at = below.structure.columns().iter().position(|column| column.name == "offset5").unwrap();
-        below.identification.beta[at] = -0.3;
-        assert_eq!(negative(&below, &offset), None);
-    }
-}
+mod tests;

@@ -213,3 +213,6 @@ pub fn matters(evidence: &Evidence, found: &Relevance, item: &Candidate, setting
         found.rms[joint] >= least && found.share[joint] >= share
     })
 }
+
+#[cfg(test)]
+mod tests;

@@ -56,6 +56,13 @@ mod search;
 mod select;
 mod span;
 mod state;
+// The two-joint arm of the integration tests, for tests of what is not public.
+#[cfg(test)]
+extern crate self as plumbline_diagnose;
+#[cfg(test)]
+#[allow(dead_code)]
+#[path = "../tests/diagnose/gates/synthetic.rs"]
+mod synthetic;
 mod unseen;
 
 /// Hash of the sources that a verdict depends on: those of this crate, of the estimate and of the effects. A figure names the rules that it was made with.

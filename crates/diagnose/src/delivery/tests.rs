@@ -1,0 +1,387 @@
+//! Rules of the delivery, each with figures set by hand on the two-joint arm.
+
+use super::*;
+use crate::span::Span;
+use crate::synthetic::{At, NOISE, Recorded, once, recorded, structure, truth};
+use crate::{FoldTest, Relevance, Search};
+use plumbline_identify::solve::{Options, identify};
+use plumbline_model::term::effect::{Family, Site, family};
+use plumbline_testkit::scene::Scene;
+use std::f64::consts::TAU;
+
+/// RMS of the torque that no model of these tests has, in both joints of every run that is judged by \[Nm\].
+const LEFT_OVER: f64 = 0.707_107;
+
+/// A tone of 5 Hz in both joints, whose mean square is the same in every second, and an offset of joint 2.
+fn tone_and_offset(offset: f64) -> impl Fn(&At) -> [f64; 2] {
+    move |at| {
+        let tone = LEFT_OVER * 2f64.sqrt() * (TAU * 5.0 * at.t).sin();
+        [tone, tone + offset]
+    }
+}
+
+/// Effect of a joint, from 0.
+fn spec(family: &'static str, joint: usize) -> Spec {
+    let settings = if family == "presliding" { vec![1e-3] } else { vec![] };
+    Spec { family, form: "", site: Site::Joint(joint), settings }
+}
+
+/// Runs to identify from and to judge by, and how.
+struct Case<'r> {
+    identify: &'r Recorded,
+    judge: Option<&'r Recorded>,
+    veto: Option<&'r Recorded>,
+    seeds: Vec<Spec>,
+    options: Options,
+}
+
+impl<'r> Case<'r> {
+    fn of(identify: &'r Recorded, judge: &'r Recorded) -> Case<'r> {
+        Case { identify, judge: Some(judge), veto: None, seeds: vec![], options: Options::default() }
+    }
+
+    /// Delivers these effects, each with its part of the recording and its score. The plain model has the true parameters.
+    fn deliver<T>(&self, effects: &[(Spec, Span, f64)], look: impl FnOnce(&Delivery, &Selected) -> T) -> T {
+        let structure = structure();
+        let trials = self.identify.trials();
+        let of = |runs: Option<&'r Recorded>| runs.map(Recorded::trials).unwrap_or_default();
+        let (judge, veto) = (of(self.judge), of(self.veto));
+        let settings = Settings { judged_by: errors::Of::Raw, ..Settings::default() };
+        let input = Input {
+            structure: &structure,
+            identify: &trials,
+            veto: &veto,
+            judge: &judge,
+            options: &self.options,
+            parts: &[],
+        };
+        let mut before = identify(&structure, &self.identify.experiments).unwrap();
+        before.beta = truth(&structure).as_slice().to_vec();
+        let families: Vec<&Family> =
+            effects.iter().map(|(spec, ..)| spec).chain(&self.seeds).map(|spec| family(spec.family).unwrap()).collect();
+        self.identify.search(&families, &settings, |search: &Search, base| {
+            let item = |spec: &Spec, span| {
+                Candidate::of(search.problem.evidence, search.operating_point, spec.clone(), span).unwrap()
+            };
+            let mut state = base.clone();
+            let mut found = Vec::new();
+            for (spec, span, score) in effects {
+                state = state.with(&search.problem, item(spec, *span));
+                let relevance = Relevance { rms: vec![], share: vec![], joint: spec.site.joints()[0] };
+                let (folds, rivals) = (FoldTest::default(), vec![]);
+                found.push(Found {
+                    score: *score,
+                    evidence: 0.0,
+                    penalty: 0.0,
+                    folds,
+                    relevance,
+                    independence: 1.0,
+                    rivals,
+                });
+            }
+            let seeds: Vec<Candidate> = self.seeds.iter().map(|spec| item(spec, Span::ALL)).collect();
+            let acting = Acting::of(structure.chain(), &state, search.operating_point);
+            let unseen = Evidence::of(structure.chain(), input.unseen(), settings.band);
+            let delivery = Delivery {
+                input: &input,
+                unseen: &unseen,
+                unseen_without: input.unseen(),
+                experiments: &self.identify.experiments,
+                acting: &acting,
+                before: &before,
+                seeds: &seeds,
+                settings: &settings,
+            };
+            look(&delivery, &Selected { state, found, path: vec![], first: vec![] })
+        })
+    }
+}
+
+/// The true model with these effects and parameters.
+fn model_with(delivery: &Delivery, effects: &[(Spec, f64)]) -> Fitted {
+    let plain = delivery.input.structure;
+    let operating_point = plain.operating_point(&delivery.before.beta);
+    let specs: Vec<Spec> = effects.iter().map(|(spec, _)| spec.clone()).collect();
+    let structure = plain.clone().with(effect::assemble(&specs, &operating_point).unwrap()).unwrap();
+    let mut identification = identify(&structure, delivery.experiments).unwrap();
+    identification.beta[..delivery.before.beta.len()].copy_from_slice(&delivery.before.beta);
+    for (spec, value) in effects {
+        let name = &spec.build(&operating_point).unwrap().columns()[0].name;
+        let at = structure.columns().iter().position(|column| column.name == *name).unwrap();
+        identification.beta[at] = *value;
+    }
+    Fitted { structure, identification }
+}
+
+/// Torque that added to [`LEFT_OVER`] raises its RMS by this share.
+fn offset_for(worsening: f64) -> f64 {
+    LEFT_OVER * ((1.0 + worsening).powi(2) - 1.0).sqrt()
+}
+
+#[test]
+fn an_effect_is_withheld_where_its_joint_is_predicted_worse_by_more_than_five_per_cent() {
+    let (identify, judge) = (recorded(2, 61, |_| [0.0; 2]), recorded(4, 62, tone_and_offset(0.0)));
+    let effects = [(spec("torque-offset", 0), Span::ALL, 9.0), (spec("torque-offset", 1), Span::ALL, 99.0)];
+    Case::of(&identify, &judge).deliver(&effects, |delivery, selected| {
+        let reason = |worsening: f64| {
+            let after = model_with(
+                delivery,
+                &[(spec("torque-offset", 0), 0.0), (spec("torque-offset", 1), offset_for(worsening))],
+            );
+            delivery.reason(selected, &[true, true], &after, &[true, true])
+        };
+        assert_eq!(reason(0.0), None);
+        assert_eq!(reason(0.045), None);
+        let (index, why) = reason(0.055).unwrap();
+        // 5.5 % of the tone and of the noise of a sample beside it.
+        let size = 0.055 * LEFT_OVER;
+        let change: f64 = why.split("worse: ").nth(1).unwrap().split(' ').next().unwrap().parse().unwrap();
+        assert!(index == 1 && (change - size).abs() < 0.05 * size && why.ends_with("in joint 2"), "{why}");
+        assert!(why.starts_with("with it, unseen runs are predicted worse: +0.03"), "{why}");
+    });
+}
+
+#[test]
+fn of_two_parameters_below_zero_that_of_the_lower_score_goes_first() {
+    let (identify, judge) = (recorded(2, 63, |_| [0.0; 2]), recorded(1, 64, |_| [0.0; 2]));
+    let friction = |joint| spec("presliding", joint);
+    for (scores, first) in [([9.0, 5.0], 1), ([5.0, 9.0], 0)] {
+        let effects = [(friction(0), Span::ALL, scores[0]), (friction(1), Span::ALL, scores[1])];
+        Case::of(&identify, &judge).deliver(&effects, |delivery, selected| {
+            let after = model_with(delivery, &[(friction(0), -0.2), (friction(1), -0.2)]);
+            let (index, why) = delivery.reason(selected, &[true, true], &after, &[true, true]).unwrap();
+            let expected = format!("fp{} came out as -0.200, and it can't be below 0", first + 1);
+            assert_eq!((index, why), (first, expected));
+            // What is not in the model is not asked.
+            let kept = [first == 1, first == 0];
+            assert_eq!(delivery.reason(selected, &kept, &after, &[true, true]).unwrap().0, 1 - first);
+        });
+    }
+}
+
+#[test]
+fn an_unconfirmed_effect_is_delivered_where_its_joint_is_predicted_better_alone() {
+    let identify = recorded(2, 65, |_| [0.0; 2]);
+    let effects = [(spec("torque-offset", 1), Span::ALL, 9.0)];
+    // The runs to judge by have an offset of half the model's, of twice the model's, and the other sign of it.
+    for (truth, withheld) in [(0.06, false), (0.04, true), (-0.1, true)] {
+        let judge = recorded(2, 66, tone_and_offset(truth));
+        Case::of(&identify, &judge).deliver(&effects, |delivery, selected| {
+            let after = model_with(delivery, &[(spec("torque-offset", 1), 0.1)]);
+            assert_eq!(delivery.reason(selected, &[true], &after, &[true]), None);
+            let why = delivery.reason(selected, &[true], &after, &[false]);
+            assert_eq!(why.is_some(), withheld, "offset {truth} Nm: {why:?}");
+            let words = "it is unconfirmed, and unseen runs are predicted no better: +";
+            assert!(why.is_none_or(|(index, why)| index == 0 && why.starts_with(words)));
+        });
+    }
+    // No change at all is no better.
+    let judge = recorded(2, 66, tone_and_offset(0.0));
+    Case::of(&identify, &judge).deliver(&effects, |delivery, selected| {
+        let after = model_with(delivery, &[(spec("torque-offset", 1), 0.0)]);
+        assert!(delivery.reason(selected, &[true], &after, &[false]).unwrap().1.contains(": +0.0000 "));
+    });
+    // Then it is not in the model.
+    let (identify, judge) = (recorded(2, 65, |_| [0.0, 0.1]), recorded(2, 66, tone_and_offset(-0.1)));
+    Case::of(&identify, &judge).deliver(&effects, |delivery, selected| {
+        for (confirmed, more) in [(true, 1), (false, 0)] {
+            let (after, withheld) = delivery.of(selected, &[None; 2], &[None; 2], &[confirmed]).unwrap();
+            assert_eq!(after.structure.columns().len(), structure().columns().len() + more);
+            assert_eq!(withheld[0].is_none(), confirmed, "{withheld:?}");
+        }
+    });
+}
+
+#[test]
+fn where_another_joint_is_predicted_worse_the_effect_without_which_it_is_predicted_best_is_withheld() {
+    // Joint 2 has an offset and no spring. Only one of both is in the model: without the offset the parameters that the joints share are wrong.
+    let identify = recorded(2, 67, tone_and_offset(2.0));
+    let judge = recorded(2, 68, tone_and_offset(2.0));
+    for offset in [0, 1] {
+        let mut effects =
+            [(spec("asymmetric-viscous", 1), Span::ALL, 99.0), (spec("asymmetric-viscous", 1), Span::ALL, 99.0)];
+        effects[offset] = (spec("torque-offset", 1), Span::ALL, 9.0);
+        Case::of(&identify, &judge).deliver(&effects, |delivery, selected| {
+            let mut after = delivery.extended(&selected.state, &[true, true]).unwrap();
+            // Joint 1 moves with the wrong friction.
+            let at = after.structure.columns().iter().position(|column| column.name == "fc1").unwrap();
+            after.identification.beta[at] += 1.0;
+            let (index, why) = delivery.reason(selected, &[true, true], &after, &[true, true]).unwrap();
+            assert!(why.ends_with("in joint 1"), "{why}");
+            assert_eq!(index, 1 - offset, "the effect that is not there");
+        });
+    }
+}
+
+#[test]
+fn errors_are_taken_of_the_judging_runs_else_of_those_that_refute_findings() {
+    let identify = recorded(2, 69, |_| [0.0; 2]);
+    let (small, large) = (recorded(1, 70, tone_and_offset(0.0)), recorded(1, 71, tone_and_offset(2.0)));
+    let error = |judge: Option<&Recorded>, veto: Option<&Recorded>| {
+        Case { identify: &identify, judge, veto, seeds: vec![], options: Options::default() }.deliver(
+            &[],
+            |delivery, selected| {
+                let after = delivery.extended(&selected.state, &[]).unwrap();
+                delivery.compared(&after).map(|compared| compared.before.validate_rms[1])
+            },
+        )
+    };
+    let near = |error: Option<f64>, offset: f64| {
+        let expected = (LEFT_OVER.powi(2) + offset.powi(2) + NOISE.powi(2)).sqrt();
+        error.is_some_and(|error| (error / expected - 1.0).abs() < 0.02)
+    };
+    assert!(near(error(Some(&small), Some(&large)), 0.0));
+    assert!(near(error(Some(&large), Some(&small)), 2.0));
+    assert!(near(error(None, Some(&large)), 2.0));
+    assert_eq!(error(None, None), None);
+}
+
+#[test]
+fn unseen_runs_are_predicted_with_what_acts_in_their_part_of_the_recording() {
+    let identify = recorded(2, 72, |at| [0.0, if at.trajectory == 1 { 2.0 } else { 0.0 }]);
+    let judge = recorded(1, 73, |_| [0.0, 2.0]);
+    // From the second identified run on; the run to judge by begins in it.
+    let since = identify.trials()[1].start;
+    let effects = [(spec("torque-offset", 1), Span::since(since), 9.0)];
+    let late = |trial: &Trial| trial.start + trial.experiment.timeline.end() > since;
+    assert!(identify.trials().iter().any(late));
+    Case::of(&identify, &judge).deliver(&effects, |delivery, selected| {
+        let plain = Fitted { structure: structure(), identification: delivery.before.clone() };
+        let mut trials = judge.trials();
+        trials[0].start = 100.0;
+        let input = Input { judge: &trials, ..*delivery.input };
+        let compared = Delivery { input: &input, ..*delivery }.compared(&plain).unwrap();
+        let (before, after) = (compared.before.validate_rms[1], compared.after.validate_rms[1]);
+        assert!((before - 2.0).abs() < 0.05 && after < 2.0 * NOISE, "{before} {after}");
+        // A part is in no model, and no reason is asked for.
+        let (after, withheld) = delivery.of(selected, &[Some(9.0); 2], &[Some(0.1); 2], &[true]).unwrap();
+        assert_eq!(after.structure.columns().len(), structure().columns().len());
+        assert_eq!(withheld, [None]);
+        // The plain model is identified once more from runs without it.
+        assert_ne!(after.identification.beta, delivery.before.beta);
+    });
+    Case::of(&identify, &judge).deliver(&[], |delivery, selected| {
+        let after = delivery.extended(&selected.state, &[]).unwrap();
+        assert_eq!(after.identification.beta, delivery.before.beta);
+    });
+}
+
+#[test]
+fn an_effect_explains_half_of_what_the_plain_model_lacks_or_the_plain_model_lacks_little() {
+    let with_offset = |seed| recorded(2, seed, |_| [0.0, 2.0]);
+    let (identify, judge) = (with_offset(74), with_offset(75));
+    let effects = [(spec("torque-offset", 1), Span::ALL, 9.0)];
+    Case::of(&identify, &judge).deliver(&effects, |delivery, selected| {
+        // Joint 1 lacks and explains nothing: it is not the effect's.
+        let delivered = |lack: f64, explained: f64| {
+            let (after, mut withheld) =
+                delivery.of(selected, &[Some(9.0), Some(lack)], &[Some(-1.0), Some(explained)], &[true]).unwrap();
+            let why = withheld.remove(0);
+            let columns = structure().columns().len() + usize::from(why.is_none());
+            assert_eq!(after.structure.columns().len(), columns);
+            why
+        };
+        let explain =
+            |share| format!("on unseen runs the effects explain {share} % of what the plain model lacks in joint 2");
+        assert_eq!(delivered(9.0, 0.5), None);
+        assert_eq!(delivered(9.0, 0.49), Some(explain(49)));
+        // 1.5 times the noise, squared.
+        assert_eq!(delivered(2.24, 0.02), None);
+        assert_eq!(delivered(2.26, 0.02), Some(explain(2)));
+        let add = "on unseen runs the effects add to what the plain model lacks in joint 2";
+        assert_eq!(delivered(2.24, -0.01).as_deref(), Some(add));
+        assert_eq!(delivered(9.0, -0.01).as_deref(), Some(add));
+    });
+}
+
+#[test]
+fn an_effect_that_adds_to_the_errors_of_unseen_runs_once_it_is_identified_is_withheld() {
+    let (identify, judge) = (recorded(2, 76, |_| [0.0, 2.0]), recorded(2, 77, |_| [0.0; 2]));
+    let effects = [(spec("torque-offset", 1), Span::ALL, 9.0)];
+    Case::of(&identify, &judge).deliver(&effects, |delivery, selected| {
+        // The fit of the selection is said to explain all of a lack of three times the noise: the identified model adds 2 Nm.
+        let (after, withheld) = delivery.of(selected, &[None, Some(9.0)], &[None, Some(1.0)], &[true]).unwrap();
+        let add = "on unseen runs the effects add to what the plain model lacks in joint 2";
+        assert_eq!((after.structure.columns().len(), withheld), (structure().columns().len(), vec![Some(add.into())]));
+    });
+}
+
+#[test]
+fn of_two_effects_the_one_that_explains_too_little_is_withheld_and_the_other_is_delivered() {
+    // Joint 1 has an offset in the identified runs alone.
+    let (identify, judge) = (recorded(2, 86, |_| [0.15, 2.0]), recorded(2, 87, tone_and_offset(2.0)));
+    let effects = [(spec("torque-offset", 0), Span::ALL, 9.0), (spec("torque-offset", 1), Span::ALL, 9.0)];
+    Case::of(&identify, &judge).deliver(&effects, |delivery, selected| {
+        let lack = "what the plain model lacks in joint 1";
+        let explain = format!("on unseen runs the effects explain 49 % of {lack}");
+        let add = format!("on unseen runs the effects add to {lack}");
+        // By the fit of the selection, or by the model that is to be delivered.
+        for (explained, why) in [(0.49, explain), (1.0, add)] {
+            let lacks = [Some(9.0), Some(1e4)];
+            let (after, withheld) =
+                delivery.of(selected, &lacks, &[Some(explained), Some(1.0)], &[true, true]).unwrap();
+            assert_eq!(withheld, [Some(why), None]);
+            assert_eq!(after.structure.columns().len(), structure().columns().len() + 1);
+        }
+    });
+}
+
+#[test]
+fn where_the_noise_is_unknown_the_joints_keep_the_weights_of_the_model_that_the_search_starts_from() {
+    // An offset of joint 2 is in the data and repaired: with weights of its own that joint would weigh more.
+    let offset = |_: &At| [0.0, 3.0];
+    let (once, repeated) = (once(12.0, 78, offset), recorded(2, 79, offset));
+    let effects = [(spec("torque-offset", 1), Span::ALL, 9.0)];
+    let of = |identify: &Recorded, seeds: Vec<Spec>, estimator| {
+        let options = Options { estimator, ..Options::default() };
+        Case { seeds, options, ..Case::of(identify, &repeated) }.deliver(&effects, |delivery, selected| {
+            let identification = delivery.extended(&selected.state, &[true]).unwrap().identification;
+            (identification.sigma, delivery.before.sigma.clone(), identification.estimator)
+        })
+    };
+    let (sigma, plain, _) = of(&once, vec![], Estimator::Wls);
+    assert_eq!(sigma, plain);
+    // Seeds are in the model that the search starts from.
+    let (sigma, plain, _) = of(&once, vec![spec("torque-offset", 1)], Estimator::Wls);
+    assert!(sigma[1] < 0.5 * plain[1], "{sigma:?} {plain:?}");
+    // The noise is known: weights of its own.
+    let (sigma, plain, _) = of(&repeated, vec![], Estimator::Wls);
+    assert!(sigma[1] < 0.5 * plain[1], "{sigma:?} {plain:?}");
+    // Known in some of the runs is not known.
+    let mut mixed = Recorded { structure: structure(), experiments: once.experiments.clone() };
+    mixed.experiments.extend(repeated.experiments.iter().cloned());
+    let (sigma, plain, _) = of(&mixed, vec![], Estimator::Wls);
+    assert_eq!(sigma, plain);
+    // Another estimator stays the one that was asked for.
+    assert_eq!(of(&once, vec![], Estimator::Ols).2, Estimator::Ols);
+}
+
+/// The arm with this multiple of its fifth joint's acceleration on the torque there, identified with the effect.
+fn fitted(scene: &Scene, spec: &Spec, per_acceleration: f64) -> Fitted {
+    let mut run = scene.record(2, 3);
+    for k in 0..run.tau.nrows() {
+        run.tau[(k, 4)] += per_acceleration * scene.motion.ddq[(k % scene.motion.samples(), 4)];
+    }
+    let experiment = Experiment::prepare(&run, &plumbline_identify::Settings::default()).unwrap();
+    let terms = effect::assemble(std::slice::from_ref(spec), &scene.structure.operating_point(&scene.beta)).unwrap();
+    let structure = scene.structure.clone().with(terms).unwrap();
+    let identification = identify(&structure, &[experiment]).unwrap();
+    Fitted { structure, identification }
+}
+
+#[test]
+fn a_parameter_below_zero_is_seen_where_physics_forbids_it() {
+    let scene = Scene::panda_on_the_wall();
+    let of = |family| Spec { family, form: "", site: Site::Joint(4), settings: Vec::new() };
+    // A rotor's column belongs to a term of the whole arm.
+    let rotor = of("rotor-inertia");
+    let (name, value) = negative(&fitted(&scene, &rotor, -0.2), &rotor).unwrap();
+    assert!(name.ends_with('5') && (value + 0.2).abs() < 0.05, "{name} {value}");
+    assert_eq!(negative(&fitted(&scene, &rotor, 0.2), &rotor), None);
+    // An offset may have any sign.
+    let offset = of("torque-offset");
+    let mut below = fitted(&scene, &offset, 0.0);
+    let at = below.structure.columns().iter().position(|column| column.name == "offset5").unwrap();
+    below.identification.beta[at] = -0.3;
+    assert_eq!(negative(&below, &offset), None);
+}
