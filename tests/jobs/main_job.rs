@@ -1,6 +1,7 @@
 //! The main job, in a short form: one command identifies the arm on the wall, serves the model, and predicts both mountings.
 
 use plumbline::report::Report;
+use plumbline::report::diagnosis::Verdict;
 use plumbline::store::ModelFile;
 use plumbline_identify::solve::student_975;
 use plumbline_model::Robot;
@@ -47,6 +48,7 @@ fn one_command_identifies_serves_and_validates() {
     let report = place.report();
     says_what_it_promises(&done, &place);
     finds_the_truth(&report);
+    finds_no_effect_where_there_is_none(&report);
     served_what_it_identified(&report);
     fails_without_the_two(&report);
     leaves_files_that_work(&place, &report);
@@ -101,6 +103,11 @@ fn finds_the_truth(report: &Report) {
         let ratio = validation_rms(report, mounting) / mean(&noise);
         assert!((0.9..1.1).contains(&ratio), "mean validation RMS {mounting}: {ratio} of the simulated noise");
     }
+}
+
+fn finds_no_effect_where_there_is_none(report: &Report) {
+    let found = report.diagnosis.as_ref().unwrap();
+    assert!(found.verdict == Verdict::NothingSignificant && found.effects.is_empty(), "{found:#?}");
 }
 
 fn served_what_it_identified(report: &Report) {

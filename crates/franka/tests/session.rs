@@ -10,7 +10,7 @@ use plumbline_franka::{
 use plumbline_model::{Chain, LinkParameters, Mounting, rnea};
 use plumbline_rt::cycle::End;
 use plumbline_testkit::conformance::conformance;
-use plumbline_testkit::emulator::{Emulator, Fault as Trouble, Settings as Emulated, address};
+use plumbline_testkit::emulator::{Emulator, Fault as NetworkFault, Settings as Emulated, address};
 use plumbline_testkit::franka_loop::{Run, drive, drive_serving, drive_with_retries, plan, quick_plan};
 use std::time::{Duration, Instant};
 
@@ -196,8 +196,8 @@ fn a_bad_network_costs_a_way_back_and_no_discontinuity() {
         (Protocol::V9, ["garbage=0.03", "truncate=0.03"]),
         (Protocol::V10, ["loss=0.1", "jitter=0.001"]),
     ];
-    side_by_side(&cases, |&(protocol, troubles)| {
-        let faults = troubles.iter().map(|text| format!("{text},at=motion").parse::<Trouble>().unwrap()).collect();
+    side_by_side(&cases, |&(protocol, texts)| {
+        let faults = texts.iter().map(|text| format!("{text},at=motion").parse::<NetworkFault>().unwrap()).collect();
         let command_wait = Duration::from_millis(5);
         let (emulator, settings) = start(Emulated { faults, command_wait, ..waiting(protocol) });
         // The lost commands of the case beside a stall of this machine are more than a robot allows.
