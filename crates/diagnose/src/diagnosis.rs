@@ -55,7 +55,7 @@ impl<'a> Input<'a> {
     }
 
     /// Runs that the errors are measured on.
-    fn measuring(&self) -> &'a [Trial<'a>] {
+    pub(super) fn measuring(&self) -> &'a [Trial<'a>] {
         if self.judge.is_empty() { self.veto } else { self.judge }
     }
 }

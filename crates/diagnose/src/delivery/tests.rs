@@ -9,7 +9,7 @@ use plumbline_model::term::effect::{Family, Site, family};
 use plumbline_testkit::scene::Scene;
 use std::f64::consts::TAU;
 
-/// RMS of the torque that no model of these tests has, in both joints of every run that is judged by \[Nm\].
+/// RMS of the torque that no model of these tests has, in both joints of every run that decides \[Nm\].
 const LEFT_OVER: f64 = 0.707_107;
 
 /// A tone of 5 Hz in both joints, whose mean square is the same in every second, and an offset of joint 2.
@@ -26,7 +26,7 @@ fn spec(family: &'static str, joint: usize) -> Spec {
     Spec { family, form: "", site: Site::Joint(joint), settings }
 }
 
-/// Runs to identify from and to judge by, and how.
+/// Runs to identify from, to decide and to judge by, and how.
 struct Case<'r> {
     identify: &'r Recorded,
     judge: Option<&'r Recorded>,
@@ -36,8 +36,8 @@ struct Case<'r> {
 }
 
 impl<'r> Case<'r> {
-    fn of(identify: &'r Recorded, judge: &'r Recorded) -> Case<'r> {
-        Case { identify, judge: Some(judge), veto: None, seeds: vec![], options: Options::default() }
+    fn of(identify: &'r Recorded, veto: &'r Recorded) -> Case<'r> {
+        Case { identify, judge: None, veto: Some(veto), seeds: vec![], options: Options::default() }
     }
 
     /// Delivers these effects, each with its part of the recording and its score. The plain model has the true parameters.
@@ -81,11 +81,11 @@ impl<'r> Case<'r> {
             }
             let seeds: Vec<Candidate> = self.seeds.iter().map(|spec| item(spec, Span::ALL)).collect();
             let acting = Acting::of(structure.chain(), &state, search.operating_point);
-            let unseen = Evidence::of(structure.chain(), input.unseen(), settings.band);
+            let unseen = Evidence::of(structure.chain(), input.deciding(), settings.band);
             let delivery = Delivery {
                 input: &input,
                 unseen: &unseen,
-                unseen_without: input.unseen(),
+                unseen_without: input.deciding(),
                 experiments: &self.identify.experiments,
                 acting: &acting,
                 before: &before,
@@ -120,9 +120,9 @@ fn offset_for(worsening: f64) -> f64 {
 
 #[test]
 fn an_effect_is_withheld_where_its_joint_is_predicted_worse_by_more_than_five_per_cent() {
-    let (identify, judge) = (recorded(2, 61, |_| [0.0; 2]), recorded(4, 62, tone_and_offset(0.0)));
+    let (identify, veto) = (recorded(2, 61, |_| [0.0; 2]), recorded(4, 62, tone_and_offset(0.0)));
     let effects = [(spec("torque-offset", 0), Span::ALL, 9.0), (spec("torque-offset", 1), Span::ALL, 99.0)];
-    Case::of(&identify, &judge).deliver(&effects, |delivery, selected| {
+    Case::of(&identify, &veto).deliver(&effects, |delivery, selected| {
         let reason = |worsening: f64| {
             let after = model_with(
                 delivery,
@@ -143,11 +143,11 @@ fn an_effect_is_withheld_where_its_joint_is_predicted_worse_by_more_than_five_pe
 
 #[test]
 fn of_two_parameters_below_zero_that_of_the_lower_score_goes_first() {
-    let (identify, judge) = (recorded(2, 63, |_| [0.0; 2]), recorded(1, 64, |_| [0.0; 2]));
+    let (identify, veto) = (recorded(2, 63, |_| [0.0; 2]), recorded(1, 64, |_| [0.0; 2]));
     let friction = |joint| spec("presliding", joint);
     for (scores, first) in [([9.0, 5.0], 1), ([5.0, 9.0], 0)] {
         let effects = [(friction(0), Span::ALL, scores[0]), (friction(1), Span::ALL, scores[1])];
-        Case::of(&identify, &judge).deliver(&effects, |delivery, selected| {
+        Case::of(&identify, &veto).deliver(&effects, |delivery, selected| {
             let after = model_with(delivery, &[(friction(0), -0.2), (friction(1), -0.2)]);
             let (index, why) = delivery.reason(selected, &[true, true], &after, &[true, true]).unwrap();
             let expected = format!("fp{} came out as -0.200, and it can't be below 0", first + 1);
@@ -163,10 +163,10 @@ fn of_two_parameters_below_zero_that_of_the_lower_score_goes_first() {
 fn an_unconfirmed_effect_is_delivered_where_its_joint_is_predicted_better_alone() {
     let identify = recorded(2, 65, |_| [0.0; 2]);
     let effects = [(spec("torque-offset", 1), Span::ALL, 9.0)];
-    // The runs to judge by have an offset of half the model's, of twice the model's, and the other sign of it.
+    // The runs that decide have an offset of half the model's, of twice the model's, and the other sign of it.
     for (truth, withheld) in [(0.06, false), (0.04, true), (-0.1, true)] {
-        let judge = recorded(2, 66, tone_and_offset(truth));
-        Case::of(&identify, &judge).deliver(&effects, |delivery, selected| {
+        let veto = recorded(2, 66, tone_and_offset(truth));
+        Case::of(&identify, &veto).deliver(&effects, |delivery, selected| {
             let after = model_with(delivery, &[(spec("torque-offset", 1), 0.1)]);
             assert_eq!(delivery.reason(selected, &[true], &after, &[true]), None);
             let why = delivery.reason(selected, &[true], &after, &[false]);
@@ -176,14 +176,14 @@ fn an_unconfirmed_effect_is_delivered_where_its_joint_is_predicted_better_alone(
         });
     }
     // No change at all is no better.
-    let judge = recorded(2, 66, tone_and_offset(0.0));
-    Case::of(&identify, &judge).deliver(&effects, |delivery, selected| {
+    let veto = recorded(2, 66, tone_and_offset(0.0));
+    Case::of(&identify, &veto).deliver(&effects, |delivery, selected| {
         let after = model_with(delivery, &[(spec("torque-offset", 1), 0.0)]);
         assert!(delivery.reason(selected, &[true], &after, &[false]).unwrap().1.contains(": +0.0000 "));
     });
     // Then it is not in the model.
-    let (identify, judge) = (recorded(2, 65, |_| [0.0, 0.1]), recorded(2, 66, tone_and_offset(-0.1)));
-    Case::of(&identify, &judge).deliver(&effects, |delivery, selected| {
+    let (identify, veto) = (recorded(2, 65, |_| [0.0, 0.1]), recorded(2, 66, tone_and_offset(-0.1)));
+    Case::of(&identify, &veto).deliver(&effects, |delivery, selected| {
         for (confirmed, more) in [(true, 1), (false, 0)] {
             let (after, withheld) = delivery.of(selected, &[None; 2], &[None; 2], &[confirmed]).unwrap();
             assert_eq!(after.structure.columns().len(), structure().columns().len() + more);
@@ -196,12 +196,12 @@ fn an_unconfirmed_effect_is_delivered_where_its_joint_is_predicted_better_alone(
 fn where_another_joint_is_predicted_worse_the_effect_without_which_it_is_predicted_best_is_withheld() {
     // Joint 2 has an offset and no spring. Only one of both is in the model: without the offset the parameters that the joints share are wrong.
     let identify = recorded(2, 67, tone_and_offset(2.0));
-    let judge = recorded(2, 68, tone_and_offset(2.0));
+    let veto = recorded(2, 68, tone_and_offset(2.0));
     for offset in [0, 1] {
         let mut effects =
             [(spec("asymmetric-viscous", 1), Span::ALL, 99.0), (spec("asymmetric-viscous", 1), Span::ALL, 99.0)];
         effects[offset] = (spec("torque-offset", 1), Span::ALL, 9.0);
-        Case::of(&identify, &judge).deliver(&effects, |delivery, selected| {
+        Case::of(&identify, &veto).deliver(&effects, |delivery, selected| {
             let mut after = delivery.extended(&selected.state, &[true, true]).unwrap();
             // Joint 1 moves with the wrong friction.
             let at = after.structure.columns().iter().position(|column| column.name == "fc1").unwrap();
@@ -214,7 +214,7 @@ fn where_another_joint_is_predicted_worse_the_effect_without_which_it_is_predict
 }
 
 #[test]
-fn errors_are_taken_of_the_judging_runs_else_of_those_that_refute_findings() {
+fn errors_are_measured_on_the_judging_runs_else_on_those_that_decide() {
     let identify = recorded(2, 69, |_| [0.0; 2]);
     let (small, large) = (recorded(1, 70, tone_and_offset(0.0)), recorded(1, 71, tone_and_offset(2.0)));
     let error = |judge: Option<&Recorded>, veto: Option<&Recorded>| {
@@ -222,7 +222,7 @@ fn errors_are_taken_of_the_judging_runs_else_of_those_that_refute_findings() {
             &[],
             |delivery, selected| {
                 let after = delivery.extended(&selected.state, &[]).unwrap();
-                delivery.compared(&after).map(|compared| compared.before.validate_rms[1])
+                delivery.compared(&after, delivery.input.measuring()).map(|compared| compared.before.validate_rms[1])
             },
         )
     };
@@ -239,18 +239,18 @@ fn errors_are_taken_of_the_judging_runs_else_of_those_that_refute_findings() {
 #[test]
 fn unseen_runs_are_predicted_with_what_acts_in_their_part_of_the_recording() {
     let identify = recorded(2, 72, |at| [0.0, if at.trajectory == 1 { 2.0 } else { 0.0 }]);
-    let judge = recorded(1, 73, |_| [0.0, 2.0]);
-    // From the second identified run on; the run to judge by begins in it.
+    let veto = recorded(1, 73, |_| [0.0, 2.0]);
+    // From the second identified run on; the run that decides begins in it.
     let since = identify.trials()[1].start;
     let effects = [(spec("torque-offset", 1), Span::since(since), 9.0)];
     let late = |trial: &Trial| trial.start + trial.experiment.timeline.end() > since;
     assert!(identify.trials().iter().any(late));
-    Case::of(&identify, &judge).deliver(&effects, |delivery, selected| {
+    Case::of(&identify, &veto).deliver(&effects, |delivery, selected| {
         let plain = Fitted { structure: structure(), identification: delivery.before.clone() };
-        let mut trials = judge.trials();
+        let mut trials = veto.trials();
         trials[0].start = 100.0;
-        let input = Input { judge: &trials, ..*delivery.input };
-        let compared = Delivery { input: &input, ..*delivery }.compared(&plain).unwrap();
+        let input = Input { veto: &trials, ..*delivery.input };
+        let compared = Delivery { input: &input, ..*delivery }.compared(&plain, &trials).unwrap();
         let (before, after) = (compared.before.validate_rms[1], compared.after.validate_rms[1]);
         assert!((before - 2.0).abs() < 0.05 && after < 2.0 * NOISE, "{before} {after}");
         // A part is in no model, and no reason is asked for.
@@ -260,7 +260,7 @@ fn unseen_runs_are_predicted_with_what_acts_in_their_part_of_the_recording() {
         // The plain model is identified once more from runs without it.
         assert_ne!(after.identification.beta, delivery.before.beta);
     });
-    Case::of(&identify, &judge).deliver(&[], |delivery, selected| {
+    Case::of(&identify, &veto).deliver(&[], |delivery, selected| {
         let after = delivery.extended(&selected.state, &[]).unwrap();
         assert_eq!(after.identification.beta, delivery.before.beta);
     });
@@ -269,9 +269,9 @@ fn unseen_runs_are_predicted_with_what_acts_in_their_part_of_the_recording() {
 #[test]
 fn an_effect_explains_half_of_what_the_plain_model_lacks_or_the_plain_model_lacks_little() {
     let with_offset = |seed| recorded(2, seed, |_| [0.0, 2.0]);
-    let (identify, judge) = (with_offset(74), with_offset(75));
+    let (identify, veto) = (with_offset(74), with_offset(75));
     let effects = [(spec("torque-offset", 1), Span::ALL, 9.0)];
-    Case::of(&identify, &judge).deliver(&effects, |delivery, selected| {
+    Case::of(&identify, &veto).deliver(&effects, |delivery, selected| {
         // Joint 1 lacks and explains nothing: it is not the effect's.
         let delivered = |lack: f64, explained: f64| {
             let (after, mut withheld) =
@@ -296,9 +296,9 @@ fn an_effect_explains_half_of_what_the_plain_model_lacks_or_the_plain_model_lack
 
 #[test]
 fn an_effect_that_adds_to_the_errors_of_unseen_runs_once_it_is_identified_is_withheld() {
-    let (identify, judge) = (recorded(2, 76, |_| [0.0, 2.0]), recorded(2, 77, |_| [0.0; 2]));
+    let (identify, veto) = (recorded(2, 76, |_| [0.0, 2.0]), recorded(2, 77, |_| [0.0; 2]));
     let effects = [(spec("torque-offset", 1), Span::ALL, 9.0)];
-    Case::of(&identify, &judge).deliver(&effects, |delivery, selected| {
+    Case::of(&identify, &veto).deliver(&effects, |delivery, selected| {
         // The fit of the selection is said to explain all of a lack of three times the noise: the identified model adds 2 Nm.
         let (after, withheld) = delivery.of(selected, &[None, Some(9.0)], &[None, Some(1.0)], &[true]).unwrap();
         let add = "on unseen runs the effects add to what the plain model lacks in joint 2";
@@ -309,9 +309,9 @@ fn an_effect_that_adds_to_the_errors_of_unseen_runs_once_it_is_identified_is_wit
 #[test]
 fn of_two_effects_the_one_that_explains_too_little_is_withheld_and_the_other_is_delivered() {
     // Joint 1 has an offset in the identified runs alone.
-    let (identify, judge) = (recorded(2, 86, |_| [0.15, 2.0]), recorded(2, 87, tone_and_offset(2.0)));
+    let (identify, veto) = (recorded(2, 86, |_| [0.15, 2.0]), recorded(2, 87, tone_and_offset(2.0)));
     let effects = [(spec("torque-offset", 0), Span::ALL, 9.0), (spec("torque-offset", 1), Span::ALL, 9.0)];
-    Case::of(&identify, &judge).deliver(&effects, |delivery, selected| {
+    Case::of(&identify, &veto).deliver(&effects, |delivery, selected| {
         let lack = "what the plain model lacks in joint 1";
         let explain = format!("on unseen runs the effects explain 49 % of {lack}");
         let add = format!("on unseen runs the effects add to {lack}");
