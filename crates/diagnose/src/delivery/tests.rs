@@ -155,6 +155,9 @@ fn of_two_parameters_below_zero_that_of_the_lower_score_goes_first() {
             // What is not in the model is not asked.
             let kept = [first == 1, first == 0];
             assert_eq!(delivery.reason(selected, &kept, &after, &[true, true]).unwrap().0, 1 - first);
+            // An eliminated parameter is 0, and not below.
+            let after = model_with(delivery, &[(friction(0), 0.0), (friction(1), 0.0)]);
+            assert_eq!(delivery.reason(selected, &[true, true], &after, &[true, true]), None);
         });
     }
 }
@@ -322,6 +325,42 @@ fn of_two_effects_the_one_that_explains_too_little_is_withheld_and_the_other_is_
                 delivery.of(selected, &lacks, &[Some(explained), Some(1.0)], &[true, true]).unwrap();
             assert_eq!(withheld, [Some(why), None]);
             assert_eq!(after.structure.columns().len(), structure().columns().len() + 1);
+        }
+    });
+}
+
+#[test]
+fn columns_are_evaluated_once_more_where_a_parameter_moved_by_more_than_a_tenth_of_its_deviation() {
+    let friction = Spec { family: "load-dependent-friction", form: "coulomb", site: Site::Joint(1), settings: vec![] };
+    let identify = recorded(2, 88, |_| [0.0; 2]);
+    Case::of(&identify, &identify).deliver(&[(friction.clone(), Span::ALL, 9.0)], |delivery, selected| {
+        // One identification with the columns at these parameters.
+        let once = |beta: &[f64]| {
+            let plain = delivery.input.structure;
+            let terms = effect::assemble(std::slice::from_ref(&friction), &plain.operating_point(beta)).unwrap();
+            let structure = plain.clone().with(terms).unwrap();
+            identify_with(&structure, delivery.experiments, delivery.input.options).unwrap()
+        };
+        let mut settled = once(selected.state.fit.theta.as_slice());
+        for _ in 0..10 {
+            settled = once(&settled.beta);
+        }
+        let mut state = selected.state.clone();
+        let mut from = |moved: &dyn Fn(usize) -> f64| {
+            for (k, (beta, std)) in settled.beta.iter().zip(&settled.std).enumerate() {
+                state.fit.theta[k] = beta + moved(k) * std.unwrap();
+            }
+            let first = once(state.fit.theta.as_slice()).beta;
+            let delivered = delivery.extended(&state, &[true]).unwrap().identification.beta;
+            let second = once(&first).beta;
+            assert_ne!(first, second);
+            (delivered == first, delivered == second)
+        };
+        for sign in [-1.0, 1.0] {
+            assert_eq!(from(&|_| 0.08 * sign), (true, false));
+            // One parameter is enough.
+            assert_eq!(from(&|k| if k == 1 { 0.15 * sign } else { 0.0 }), (false, true));
+            assert_eq!(from(&|_| 30.0 * sign), (false, true));
         }
     });
 }

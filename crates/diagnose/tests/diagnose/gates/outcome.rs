@@ -213,6 +213,56 @@ fn the_least_offset_that_would_be_found_is_three_quarters_of_the_noise() {
 }
 
 #[test]
+fn what_is_reported_is_what_was_found_and_what_the_delivered_model_predicts() {
+    let found = of(42, (6.0, 0.0), (6.0, 0.0), (6.0, 0.0)).diagnosis;
+    // Four trajectories agree; one trajectory confirms nothing.
+    assert_eq!(found.effects.iter().map(|effect| effect.confirmed).collect::<Vec<_>>(), [true]);
+    let one = outcome(
+        &recorded(1, 42, torque(6.0, 0.0)),
+        &recorded(1, 43, torque(6.0, 0.0)),
+        &recorded(1, 44, torque(6.0, 0.0)),
+    );
+    assert!(!one.diagnosis.effects.is_empty() && one.diagnosis.effects.iter().all(|effect| !effect.confirmed));
+    assert!(one.diagnosis.joints.iter().all(|joint| joint.left_out == BeforeAfter::default()));
+    assert!(found.joints.iter().all(|joint| joint.left_out.before.is_some()));
+    // Errors before and after on the runs to judge by, and their difference.
+    let change = found.change.as_ref().unwrap();
+    for joint in 0..2 {
+        let [before, after] = [&found.before, &found.after].map(|errors| errors.validate_rms[joint]);
+        assert!((after - before - change.validate_rms[joint]).abs() < 1e-12, "{change:?}");
+    }
+    assert!(found.after.validate_rms[1] < 0.5 * found.before.validate_rms[1], "{found:?}");
+    // The steps begin with the plain model and what it lacks in all joints.
+    let [start, added] = &found.path[..] else { panic!("{:?}", found.path) };
+    let lacking: f64 = found.joints.iter().map(|joint| joint.unmodelled.before.unwrap().powi(2)).sum();
+    assert!(start.action == Action::Start && start.score.is_none() && start.what == "the plain model", "{start:?}");
+    assert!((start.unmodelled.unwrap() - lacking.sqrt()).abs() < 1e-12, "{start:?}");
+    let left: f64 = found.joints.iter().map(|joint| joint.unmodelled.after.unwrap().powi(2)).sum();
+    assert!((added.unmodelled.unwrap() - left.sqrt()).abs() < 1e-9, "{added:?}");
+    assert!(added.action == Action::Added && added.what == "torque-offset in joint 2", "{added:?}");
+    // Ten candidates, the best first, of which one is the effect.
+    let scores: Vec<f64> = found.scores.iter().map(|one| one.score).collect();
+    assert!(scores.len() == 10 && scores.is_sorted_by(|a, b| a >= b), "{scores:?}");
+    let offset = |label: &str| label == "torque-offset in joint 2";
+    assert!(offset(&found.scores[0].label), "{:?}", found.scores);
+    assert!(found.scores.iter().all(|one| one.chosen == offset(&one.label)), "{:?}", found.scores);
+    let rivals = &found.effects[0].alternatives_detail;
+    for one in &found.scores {
+        let named = rivals
+            .iter()
+            .any(|rival| one.label.starts_with(&rival.id) && one.label.contains(&format!("joint {}", rival.joints[0])));
+        assert_eq!(one.equivalent, named, "{one:?} {rivals:?}");
+    }
+    // Runs that refute findings are named as such where others are judged by, and nothing else is remarked.
+    let remarks = found
+        .notes
+        .iter()
+        .filter(|note| note.ends_with("was used to accept findings and is excluded from every error shown here"));
+    assert_eq!((remarks.count(), found.notes.len()), (2, 2), "{:?}", found.notes);
+    assert!(one.diagnosis.notes.iter().any(|note| note.starts_with("one trajectory: no finding could be confirmed")));
+}
+
+#[test]
 fn what_a_finding_was_tested_on_is_said() {
     let size = (6.0, 0.0);
     assert_eq!(of(38, size, size, size).diagnosis.confirmation, Some(Confirmation::Full { trajectories: 4 }));
