@@ -103,11 +103,11 @@ pub fn diagnose(input: &Input, settings: &Settings, progress: &dyn Fn(&Step)) ->
     let relinearised = relinearise(structure, &search, &mut draft.state);
     let operating_point = relinearised.as_ref().unwrap_or(&operating_point);
     let search = search.at(operating_point);
-    let selected = search.finish(draft, progress);
-    let mut selected = vetoed(&search, selected, input, settings);
+    let mut selected = search.finish(draft, progress);
 
     let unseen = Evidence::of(structure.chain(), input.deciding(), settings.band);
     end_where_refuted(&search, &mut selected.state, &unseen, input);
+    let selected = vetoed(&search, selected, input, &unseen);
     let (lacks, adequacy) = {
         let model = Unseen::of(&unseen, structure, input.deciding(), &selected.state, operating_point);
         let lacks = model.lacks(&base.fit.theta);
@@ -289,12 +289,12 @@ fn confirmation(evidence: &Evidence) -> Confirmation {
     }
 }
 
-/// Removes every effect without which the error on unseen runs does not rise.
-fn vetoed(search: &Search, mut selected: Selected, input: &Input, settings: &Settings) -> Selected {
-    if input.veto.is_empty() || selected.state.items.is_empty() {
+/// Removes every effect without which the error on unseen runs does not rise. Where they are the only unseen ones the delivery withholds it instead, and
+/// the reason is said.
+fn vetoed(search: &Search, mut selected: Selected, input: &Input, evidence: &Evidence) -> Selected {
+    if input.veto.is_empty() || input.judge.is_empty() {
         return selected;
     }
-    let evidence = Evidence::of(input.structure.chain(), input.veto, settings.band);
     let mut item = 0;
     while item < selected.state.items.len() {
         let state = &selected.state;
@@ -303,7 +303,7 @@ fn vetoed(search: &Search, mut selected: Selected, input: &Input, settings: &Set
             item += 1;
             continue;
         }
-        let unseen = Unseen::of(&evidence, input.structure, input.veto, state, search.operating_point);
+        let unseen = Unseen::of(evidence, input.structure, input.veto, state, search.operating_point);
         let rest = state.without(&search.problem, item);
         // The parameters without it, at their places among the columns with it.
         let gone = state.range(item);

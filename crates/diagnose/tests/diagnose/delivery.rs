@@ -9,7 +9,7 @@ use plumbline_model::term::Motion;
 use plumbline_model::term::effect::{OperatingPoint, Site, Spec};
 use plumbline_testkit::scene::Scene;
 
-/// Recordings of the arm, the first ones to identify from and the last to judge by, each with a torque of its own on top.
+/// Recordings of the arm, the first ones to identify from and the last to decide and to judge by, each with a torque of its own on top.
 fn diagnosed(scene: &Scene, identify: usize, extra: impl Fn(usize, &mut Run)) -> Outcome {
     let prepare = |index: usize| {
         let mut run = scene.record(4, 31 + index as u64);
@@ -20,12 +20,12 @@ fn diagnosed(scene: &Scene, identify: usize, extra: impl Fn(usize, &mut Run)) ->
     };
     let experiments: Vec<Experiment> = (0..=identify).map(prepare).collect();
     let trials = Trial::in_turn(&experiments);
-    let (find, judge) = trials.split_at(identify);
+    let (find, veto) = trials.split_at(identify);
     let input = Input {
         structure: &scene.structure,
         identify: find,
-        veto: &[],
-        judge,
+        veto,
+        judge: &[],
         options: &Options::default(),
         parts: &[],
     };

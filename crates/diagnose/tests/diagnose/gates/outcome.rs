@@ -253,12 +253,9 @@ fn what_is_reported_is_what_was_found_and_what_the_delivered_model_predicts() {
             .any(|rival| one.label.starts_with(&rival.id) && one.label.contains(&format!("joint {}", rival.joints[0])));
         assert_eq!(one.equivalent, named, "{one:?} {rivals:?}");
     }
-    // Runs that refute findings are named as such where others are judged by, and nothing else is remarked.
-    let remarks = found
-        .notes
-        .iter()
-        .filter(|note| note.ends_with("was used to accept findings and is excluded from every error shown here"));
-    assert_eq!((remarks.count(), found.notes.len()), (2, 2), "{:?}", found.notes);
+    // Runs that decide are named as such, and nothing else is remarked.
+    let remarks = found.notes.iter().filter(|note| note.ends_with("delivered; it is in no error shown here"));
+    assert_eq!((remarks.count(), found.notes.len()), (4, 4), "{:?}", found.notes);
     assert!(one.diagnosis.notes.iter().any(|note| note.starts_with("one trajectory: no finding could be confirmed")));
 }
 
