@@ -81,3 +81,6 @@ impl<'a> Unseen<'a> {
         lacks.iter().enumerate().map(share).collect()
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -4,3 +4,4 @@ mod exchange;
 mod foreign_files;
 mod kill;
 mod python;
+mod requests;

@@ -216,7 +216,8 @@ fn the_least_offset_that_would_be_found_is_three_quarters_of_the_noise() {
 fn what_is_reported_is_what_was_found_and_what_the_delivered_model_predicts() {
     let found = of(42, (6.0, 0.0), (6.0, 0.0), (6.0, 0.0)).diagnosis;
     // Four trajectories agree; one trajectory confirms nothing.
-    assert_eq!(found.effects.iter().map(|effect| effect.confirmed).collect::<Vec<_>>(), [true]);
+    let [effect] = &found.effects[..] else { panic!("{:?}", found.effects) };
+    assert_eq!((effect.confirmed, effect.folds.positive, effect.folds.informative), (true, 4, 4));
     let one = outcome(
         &recorded(1, 42, torque(6.0, 0.0)),
         &recorded(1, 43, torque(6.0, 0.0)),
