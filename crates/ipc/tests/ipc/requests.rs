@@ -42,13 +42,13 @@ fn heavy_requests_wait_for_room_delay_no_light_one_and_get_their_own_responses()
         }
         (light, most)
     });
-    let mut operator = Client::connect(&robot, PATIENCE).unwrap();
+    let mut operator = Client::connect(&robot, TIMEOUT).unwrap();
     thread::scope(|scope| {
         for length in HEAVY..HEAVY + 3 {
             let robot = &robot;
             scope.spawn(move || {
-                let mut client = Client::connect(robot, PATIENCE).unwrap();
-                let response = client.send_bytes(&vec![b'x'; length], PATIENCE).unwrap();
+                let mut client = Client::connect(robot, TIMEOUT).unwrap();
+                let response = client.send_bytes(&vec![b'x'; length], TIMEOUT).unwrap();
                 assert_eq!(response, Response::ModelAccepted { model: length as u64 });
             });
         }
@@ -56,7 +56,7 @@ fn heavy_requests_wait_for_room_delay_no_light_one_and_get_their_own_responses()
         // The third is queued by then; a later one only makes it easier.
         thread::sleep(Duration::from_millis(100));
         let stop = plumbline_ipc::Request::Stop {};
-        assert_eq!(operator.send(&stop, PATIENCE).unwrap(), Response::Accepted {});
+        assert_eq!(operator.send(&stop, TIMEOUT).unwrap(), Response::Accepted {});
     });
     assert_eq!(daemon.stop(), (1, 2));
 }
@@ -80,13 +80,13 @@ fn a_heavy_request_of_a_client_that_has_left_is_dropped() {
         }
         lengths
     });
-    let mut leaving = Client::connect(&robot, PATIENCE).unwrap();
-    let mut staying = Client::connect(&robot, PATIENCE).unwrap();
+    let mut leaving = Client::connect(&robot, TIMEOUT).unwrap();
+    let mut staying = Client::connect(&robot, TIMEOUT).unwrap();
     let error = leaving.send_bytes(&[b'x'; HEAVY], Duration::from_millis(20)).unwrap_err();
     assert!(matches!(error, IpcError::NoAnswer { .. }), "{error}");
     drop(leaving);
     go.send(()).unwrap();
-    assert_eq!(staying.send_bytes(&[b'x'; HEAVY + 1], PATIENCE).unwrap(), Response::Accepted {});
+    assert_eq!(staying.send_bytes(&[b'x'; HEAVY + 1], TIMEOUT).unwrap(), Response::Accepted {});
     assert_eq!(daemon.stop(), [HEAVY + 1]);
 }
 
@@ -102,11 +102,11 @@ fn a_request_is_heavy_by_its_length_from_4097_bytes_on() {
             thread::sleep(Duration::from_millis(1));
         }
     });
-    let mut client = Client::connect(&robot, PATIENCE).unwrap();
+    let mut client = Client::connect(&robot, TIMEOUT).unwrap();
     for (length, model) in [(20, 0), (2049, 0), (HEAVY - 1, 0), (HEAVY, 1)] {
         let mut request = br#"{"request":"stop"}"#.to_vec();
         request.resize(length, b' ');
-        assert_eq!(client.send_bytes(&request, PATIENCE).unwrap(), Response::ModelAccepted { model }, "{length}");
+        assert_eq!(client.send_bytes(&request, TIMEOUT).unwrap(), Response::ModelAccepted { model }, "{length}");
     }
     daemon.stop();
 }
@@ -130,9 +130,9 @@ fn once_half_a_millisecond_has_passed_the_remaining_requests_wait_for_the_next_t
     thread::scope(|scope| {
         for _ in 0..4 {
             scope.spawn(|| {
-                let mut client = Client::connect(&robot, PATIENCE).unwrap();
+                let mut client = Client::connect(&robot, TIMEOUT).unwrap();
                 let stop = plumbline_ipc::Request::Stop {};
-                assert_eq!(client.send(&stop, PATIENCE).unwrap(), Response::Accepted {});
+                assert_eq!(client.send(&stop, TIMEOUT).unwrap(), Response::Accepted {});
             });
         }
         // All are queued by then; later ones only make it easier.
