@@ -12,7 +12,7 @@ test -d "crates/$crate" || { echo "crates/$crate: no such folder" >&2; exit 2; }
 command -v cargo-mutants >/dev/null || cargo install --locked cargo-mutants
 # Tests that take minutes stay out: what a mutant costs is one build of the crate and one run of the rest.
 case $crate in
-    diagnose) tests=(--lib --test diagnose -- gates) ;;
+    diagnose) tests=(--lib --test diagnose -- gates tests::) ;;
     identify) tests=(--lib --test identify -- --skip estimators --skip streaming) ;;
     rt) tests=(--lib --test guard --test cycle --test torque) ;;
     *) tests=() ;;

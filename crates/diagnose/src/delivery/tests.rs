@@ -7,10 +7,10 @@ use crate::{FoldTest, Relevance, Search};
 use plumbline_identify::solve::{Options, identify};
 use plumbline_model::term::effect::{Family, Site, family};
 use plumbline_testkit::scene::Scene;
-use std::f64::consts::TAU;
+use std::f64::consts::{FRAC_1_SQRT_2, TAU};
 
 /// RMS of the torque that no model of these tests has, in both joints of every run that decides \[Nm\].
-const LEFT_OVER: f64 = std::f64::consts::FRAC_1_SQRT_2;
+const LEFT_OVER: f64 = FRAC_1_SQRT_2;
 
 /// A tone of 5 Hz in both joints, whose mean square is the same in every second, and an offset of joint 2.
 fn tone_and_offset(offset: f64) -> impl Fn(&At) -> [f64; 2] {

@@ -6,3 +6,4 @@ mod left_out;
 mod outcome;
 mod search;
 mod synthetic;
+mod whole;

@@ -1,0 +1,83 @@
+//! Rules of a whole diagnosis on the two-joint arm: what is confirmed, what acts in a part of the recording, what differs in a run.
+
+use super::synthetic::{At, FLOOR, Recorded, once, recorded, scaled};
+use plumbline_diagnose::errors::Of;
+use plumbline_diagnose::outcome::{Outcome, Verdict};
+use plumbline_diagnose::{Input, Settings, diagnose};
+use plumbline_identify::solve;
+
+/// Diagnoses `identify` by itself, with runs that decide and were recorded after it.
+fn judged(identify: &Recorded, veto: &Recorded, judged_by: Of) -> Outcome {
+    let identified = identify.trials();
+    let last = identified.last().unwrap();
+    let end = last.start + last.experiment.timeline.end();
+    let mut veto = veto.trials();
+    veto.iter_mut().for_each(|trial| trial.start += end);
+    let input = Input {
+        structure: &identify.structure,
+        identify: &identified,
+        veto: &veto,
+        judge: &[],
+        options: &solve::Options::default(),
+        parts: &[],
+    };
+    let outcome = diagnose(&input, &Settings { judged_by, ..Settings::default() }, &|_| {}).unwrap();
+    println!("{:?} {:#?}", outcome.diagnosis.verdict, outcome.diagnosis.effects);
+    outcome
+}
+
+/// An offset of joint 2 \[Nm\] in the trajectories from this one on.
+fn offset_from(first: usize, size: f64) -> impl Fn(&At) -> [f64; 2] {
+    move |at| [0.0, if at.trajectory >= first { size } else { 0.0 }]
+}
+
+#[test]
+fn an_effect_is_confirmed_by_other_trajectories_that_show_it_and_by_nothing_else() {
+    let confirmed = |identify: &Recorded| {
+        let effects = judged(identify, identify, Of::Filtered).diagnosis.effects;
+        assert!(!effects.is_empty());
+        effects.iter().any(|effect| effect.confirmed)
+    };
+    assert!(confirmed(&recorded(4, 101, offset_from(0, 6.0 * FLOOR))));
+    // A stop that only the first trajectory reaches; blocks of one motion.
+    assert!(!confirmed(&scaled(&[2.0, 0.5, 0.5, 0.5], 5, |at| [0.0, 2.0 * (at.q[1] - 0.7).max(0.0)])));
+    assert!(!confirmed(&once(20.0, 102, |at| [0.0, 0.3 + 0.0 * at.t])));
+}
+
+#[test]
+fn what_came_in_a_later_trajectory_acts_until_the_runs_that_do_not_have_it() {
+    let size = 10.0 * FLOOR;
+    let identify = recorded(4, 103, offset_from(2, size));
+    for (still_there, judge) in [(true, offset_from(0, size)), (false, offset_from(9, size))] {
+        let outcome = judged(&identify, &recorded(2, 104, judge), Of::Filtered);
+        let [effect] = &outcome.diagnosis.effects[..] else { panic!("{:?}", outcome.diagnosis.effects) };
+        let acts = effect.acts.as_ref().unwrap_or_else(|| panic!("{effect:?}"));
+        assert_eq!((effect.id.as_str(), acts.run.as_str(), acts.from), ("torque-offset", "trajectory 3", 0.0));
+        assert_eq!((acts.to_end_of_recording, effect.in_model), (still_there, false));
+        assert!(outcome.diagnosis.disagreements.is_empty(), "{:?}", outcome.diagnosis.disagreements);
+    }
+}
+
+#[test]
+fn a_run_that_differs_is_never_nothing_significant() {
+    let identify = recorded(4, 105, offset_from(9, 0.0));
+    let quiet = judged(&identify, &recorded(2, 106, offset_from(9, 0.0)), Of::Filtered).diagnosis;
+    assert_eq!((quiet.verdict, quiet.disagreements.len()), (Verdict::NothingSignificant, 0));
+    let other = judged(&identify, &recorded(2, 106, offset_from(1, 1.0)), Of::Filtered).diagnosis;
+    let [one] = &other.disagreements[..] else { panic!("{:?}", other.disagreements) };
+    assert_eq!((other.verdict, other.unexplained.len()), (Verdict::Unexplained, 0));
+    assert!(one.run == "trajectory 2" && one.joint == 2 && (one.rms - 1.0).abs() < 0.1, "{one:?}");
+}
+
+#[test]
+fn raw_errors_stand_beside_the_noise_of_the_runs_that_repeat() {
+    let identify = recorded(4, 107, offset_from(9, 0.0));
+    let (repeated, free) = (recorded(2, 108, offset_from(9, 0.0)), once(8.0, 109, |_| [0.0; 2]));
+    let raw = [&repeated, &free].map(|judge| judged(&identify, judge, Of::Raw));
+    let own = raw[1].after.identification.rms.noise_floor.clone().unwrap();
+    assert_eq!(raw[1].diagnosis.noise_floor, own);
+    assert_ne!(raw[0].diagnosis.noise_floor, own);
+    assert!(raw.iter().all(|outcome| outcome.diagnosis.noise_floor.iter().all(|noise| (noise - 0.1).abs() < 0.01)));
+    // Of filtered torques the noise of other runs is not that of these.
+    assert!(judged(&identify, &free, Of::Filtered).diagnosis.noise_floor.is_empty());
+}
