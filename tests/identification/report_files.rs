@@ -188,9 +188,9 @@ fn the_json_has_the_specified_schema_and_round_trips() {
         assert!(!json["base"]["parameters"][58][key].is_null(), "{key}");
     }
     assert_eq!(json["base"]["parameters"].as_array().unwrap().len(), 59);
-    assert_eq!(json["identify"]["rms"].as_array().unwrap().len(), 7);
+    assert_eq!(json["identify"]["rms_filtered"].as_array().unwrap().len(), 7);
     assert_eq!(json["validate"][9]["run"], "upright-5.csv");
-    assert_eq!(json["validate"][9]["rms"].as_array().unwrap().len(), 7);
+    assert_eq!(json["validate"][9]["rms_filtered"].as_array().unwrap().len(), 7);
     assert_eq!(json["noise_floor"][0], 0.15);
     assert!(
         json["identifiability"]["not_identifiable"].is_array() && json["identifiability"]["untrusted_runs"].is_array()

@@ -65,6 +65,8 @@ pub struct Experiment {
     /// Samples of the grid that enter the regression.
     kept: Vec<usize>,
     filter: Butterworth,
+    /// Scatter of the torques as recorded, where weights are by frequency: the same whatever is taken off the deviations later.
+    recorded_scatter: Option<Scatter>,
     /// Unfiltered positions on the even grid, ends included \[rad\].
     q: DMatrix<f64>,
     /// Measured velocities on the same grid \[rad/s\], where velocities and accelerations are computed from them.
@@ -149,6 +151,8 @@ impl Experiment {
         let motion = |differentiator: &Differentiator| motion_of(differentiator, &q, dq.as_ref(), edge);
         let narrower = comparison_differentiator.cutoff() < differentiator.cutoff();
         let of_tau = || deviations.columns(n, n).into_owned();
+        let recorded_scatter =
+            scatter.as_ref().filter(|_| settings.weights_by_frequency).map(|scatter| scatter.select(n..2 * n));
         let mut experiment = Experiment {
             name: run.name.clone(),
             motion: motion(&differentiator),
@@ -172,6 +176,7 @@ impl Experiment {
             resting: vec![false; count],
             kept: (0..count).step_by(step).collect(),
             filter,
+            recorded_scatter,
             q,
             dq,
             differentiator,
@@ -344,6 +349,11 @@ impl Experiment {
     /// Number of periods that the mean is of; 1 without repeats.
     pub fn averaged_periods(&self) -> usize {
         self.scatter.as_ref().map_or(1, |scatter| scatter.periods)
+    }
+
+    /// Scatter of its torques where weights are by frequency.
+    pub(crate) fn coloured(&self) -> Option<&Scatter> {
+        self.recorded_scatter.as_ref()
     }
 
     /// Number of joints, n.

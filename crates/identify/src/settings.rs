@@ -82,6 +82,9 @@ pub struct Settings {
     /// Excluded time spans, such as a contact found by the diagnosis. In a periodic run the other periods replace them.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub leave_out: Vec<ExcludedSpan>,
+    /// Whether [`super::solve::wls`] weighs by frequency where periods repeat, [`super::solve::coloured`].
+    #[serde(skip)]
+    pub weights_by_frequency: bool,
 }
 
 /// Excluded time span of one run.
@@ -117,13 +120,14 @@ impl Settings {
     }
 
     /// The paper's signal processing (section II-B.3): mean period, order-20 zero-phase Butterworth at 2 Hz, central differences,
-    /// decimation by eq. 16 with `omega_fp` twice the cut-off. Torques and columns pass the same filter.
+    /// decimation by eq. 16 with `omega_fp` twice the cut-off. Torques and columns pass the same filter. Weights are those of eqs. 9 and 10.
     pub fn paper() -> Settings {
         Settings {
             torque_cutoff: 2.0,
             position_cutoff: Some(2.0),
             order: 20,
             derivative: Derivative::Central,
+            weights_by_frequency: false,
             ..Settings::default()
         }
     }
@@ -143,6 +147,7 @@ impl Default for Settings {
             trim: 0.0,
             rest: None,
             leave_out: Vec::new(),
+            weights_by_frequency: true,
         }
     }
 }

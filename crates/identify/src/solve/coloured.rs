@@ -38,9 +38,9 @@ struct NoiseOfExperiment {
 }
 
 impl Noise {
-    /// Of these experiments; `None` where one has no repeats.
+    /// Of these experiments; `None` where one has no repeats or is not weighted by frequency.
     pub fn of(experiments: &[Experiment]) -> Option<Noise> {
-        let scatters: Option<Vec<_>> = experiments.iter().map(|experiment| experiment.scatter.as_ref()).collect();
+        let scatters: Option<Vec<_>> = experiments.iter().map(Experiment::coloured).collect();
         let scatters = scatters.filter(|scatters| !scatters.is_empty())?;
         let joints = experiments[0].joints();
         let smooth: Vec<NoisePower> = (0..joints).map(|joint| NoisePower::of(&scatters, joint)).collect();
