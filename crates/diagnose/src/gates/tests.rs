@@ -80,7 +80,6 @@ fn a_fold_is_asked_from_three_to_eighty_per_cent_of_the_energy() {
             let tried = base.try_in(&search.problem, item).unwrap();
             let shares = shares(&search.problem, base, &tried);
             let asked = shares.iter().filter(|share| (0.03..=0.8).contains(*share)).count();
-            println!("{shares:?}");
             assert_eq!(folds(&search.problem, base, &tried).informative, asked, "{shares:?}");
             seen.extend(shares);
         });
@@ -100,7 +99,6 @@ fn the_only_run_with_an_effect_and_the_only_one_without_it_are_not_asked() {
             let item = item.in_folds(search.problem.evidence, Span::since(since)).unwrap();
             let tried = base.try_in(&search.problem, &item).unwrap();
             let shares = shares(&search.problem, base, &tried);
-            println!("{shares:?}");
             assert!(shares.iter().all(|share| (0.03..=0.8).contains(share)), "{shares:?}");
             assert_eq!(alone(&search.problem, &tried), alone_folds);
             assert_eq!(folds(&search.problem, base, &tried).informative, asked);
