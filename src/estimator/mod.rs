@@ -16,6 +16,7 @@ use plumbline_ipc::{
     StreamSettings,
 };
 use plumbline_model::Mounting;
+use std::path::PathBuf;
 use std::sync::mpsc::RecvTimeoutError;
 use std::time::{Duration, Instant};
 
@@ -27,6 +28,9 @@ pub struct Options {
     /// End when the results of one programme are written
     #[arg(long)]
     once: bool,
+    /// Results of the round before: their runs are identified from and judged by, too
+    #[arg(long, value_name = "DIR", requires = "once")]
+    after: Option<PathBuf>,
 }
 
 /// Timeout of the connection to a daemon.
@@ -56,7 +60,8 @@ pub fn run(options: Options) -> Result<(), Failure> {
             Err(error) => return Err(Failure::job(error)),
         };
         let programme = Programme::load(&job, &out.join("plans"))?;
-        let results = Results::new(&job, &robot, &programme, &out);
+        let mut results = Results::new(&job, &robot, &programme, &out);
+        options.after.as_deref().map_or(Ok(()), |dir| results.go_on_from(dir))?;
         let live = Live::new(&job, &robot, &out);
         service.status("follows the samples");
         let outcome = match follow(&id, &mut stream, &programme, results, live, &mut service) {

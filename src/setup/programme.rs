@@ -5,7 +5,7 @@ use crate::failure::Failure;
 use crate::process::progress;
 use crate::setup::planner::Planner;
 use crate::store::{load_plan, save_plan};
-use plumbline_core::{ArmLimits, BadInput, JointVec, Limits, Setpoint};
+use plumbline_core::{ArmLimits, BadInput, JointVec, Limits, Setpoint, from_toml};
 use plumbline_excite::{Bounds, Fourier, Peak, Plan, Quantity, check_points_with_guard, check_pose};
 use plumbline_model::{Mounting, Robot, VERTICAL_TOLERANCE};
 use plumbline_rt::MoveFactors;
@@ -152,6 +152,8 @@ impl Programme {
 pub fn plan_or_load(job: &Job, robot: &Robot, out: &Path, arm: Option<&ArmLimits>) -> Result<Programme, Failure> {
     let dir = out.join("plans");
     let planner = Planner::of(job, robot, arm)?;
+    let limits = arm.map(toml::to_string).transpose().map_err(Failure::job)?;
+    crate::atomic::write_result(&dir.join(ARM_LIMITS), limits.unwrap_or_default().as_bytes())?;
     let stamp = planner.fingerprint();
     let stamp_file = dir.join("planned-for");
     if std::fs::read_to_string(&stamp_file).is_ok_and(|text| text.trim() == stamp) {
@@ -169,6 +171,17 @@ pub fn plan_or_load(job: &Job, robot: &Robot, out: &Path, arm: Option<&ArmLimits
     Ok(programme)
 }
 
+/// File with the limits of the connected arm, beside the plans that were made under them; empty where the arm has none.
+const ARM_LIMITS: &str = "arm-limits.toml";
+
+/// The limits of the arm that the plans of `out` were made for.
+pub fn arm_limits(out: &Path) -> Result<Option<ArmLimits>, Failure> {
+    let path = out.join("plans").join(ARM_LIMITS);
+    let file = path.display().to_string();
+    let text = std::fs::read_to_string(&path).map_err(|error| Failure::job(format!("{file}: {error}")))?;
+    (!text.is_empty()).then(|| Ok(from_toml(&file, &text)?)).transpose()
+}
+
 /// Motions that are tried when the way to a motion's start leaves the workspace.
 const ATTEMPTS: u64 = 20;
 /// Distance of the seeds of two tries, so that no motion takes another's.
@@ -176,6 +189,11 @@ const SEED_STEP: u64 = 10_007;
 
 /// Distance of the live motion's seed from those of the validation.
 const LIVE_SEED: u64 = 500;
+
+/// Whether the arm reaches the start of a motion from where the job begins, and home again.
+pub fn is_reached(planner: &Planner, q0: &[f64]) -> bool {
+    Ways::new(planner).is_ok_and(|mut ways| ways.go(&planner.job.mounting, q0).is_ok())
+}
 
 /// The ways between motions, as the loop will drive them.
 struct Ways<'a> {

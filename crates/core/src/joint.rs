@@ -165,7 +165,7 @@ pub struct Limits {
 
 /// Position-dependent speed limit of a joint, as of the Franka Research 3:
 /// `dq <= min(dq_max, max(0, sqrt(2 dec (q_max - q)) - offset))`, and mirrored at the lower end.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct SpeedEnvelope {
     /// Subtracted from the speed at which a joint can still brake before the end of its range \[rad/s\].
     pub offset: JointVec,

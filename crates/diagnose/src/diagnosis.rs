@@ -7,13 +7,14 @@ use super::curves;
 use super::delivery::Delivery;
 use super::detectable;
 use super::deviations::Deviations;
-use super::disagreement::disagreements;
+use super::disagreement::{Disagreements, disagreements};
 use super::errors::Of;
 use super::evidence::{Evidence, Trial};
 use super::fallback::{self, Residual};
 use super::fit::{MIN_INDEPENDENCE_RATIO, Problem, group};
 use super::gates;
 use super::library::{Candidate, library, repeatable};
+use super::open::{OpenQuestions, Question};
 use super::outcome::{
     self, Action, BeforeAfter, Confirmation, Diagnosis, Disagreement, Effect, Fitted, JointFacts, Outcome, Parameters,
     Quantity, Score, Verdict,
@@ -152,9 +153,10 @@ pub fn diagnose(input: &Input, settings: &Settings, progress: &dyn Fn(&Step)) ->
     let compared = delivery.compared(&after, input.measuring());
     let independences = detectable::independences(&search, &base);
     let others = [veto.clone(), judge.clone()].concat();
-    let disagreements = disagreements(structure.chain(), &evidence, &identified, &others, &after, settings.band);
+    let Disagreements { different, undetermined } =
+        disagreements(structure.chain(), &evidence, &identified, &others, &after, settings.band);
     let mut diagnosis = Diagnosis {
-        verdict: verdict(&effects, residuals.is_empty() && disagreements.is_empty()),
+        verdict: verdict(&effects, residuals.is_empty() && different.is_empty(), undetermined.is_empty()),
         confirmation: Some(confirmation(&evidence)),
         held_out_runs: input.measuring().iter().map(|trial| trial.experiment.name.clone()).collect(),
         unexplained: residuals.iter().map(|one| one.unexplained(joints[one.joint].floor_of_mean)).collect(),
@@ -162,13 +164,16 @@ pub fn diagnose(input: &Input, settings: &Settings, progress: &dyn Fn(&Step)) ->
         not_identifiable: detectable::not_identifiable(&independences),
         path: steps("the plain model", &joints, &selected.path),
         scores: scores(&selected, &effects),
-        notes: notes(&evidence, input, &effects, &disagreements),
+        notes: notes(&evidence, input, &effects, &different, &undetermined),
         effects,
         joints,
-        disagreements,
+        disagreements: different,
+        undetermined,
         rules: RULES.into(),
         ..Diagnosis::default()
     };
+    let open = OpenQuestions::of(&search, structure, &selected, diagnosis.verdict, input.identify, settings);
+    diagnosis.open = open.questions().map(Question::facts).collect();
     if let Some(compared) = compared {
         diagnosis.change = Some(compared.change.clone());
         diagnosis.set_errors(compared);
@@ -178,11 +183,17 @@ pub fn diagnose(input: &Input, settings: &Settings, progress: &dyn Fn(&Step)) ->
         diagnosis.noise_floor = after.identification.rms.noise_floor.clone().unwrap_or_default();
     }
     let before = Fitted { structure: structure.clone(), identification: before.clone() };
-    Ok(Outcome { diagnosis, before, after, residuals, curves })
+    Ok(Outcome { diagnosis, before, after, residuals, curves, open })
 }
 
 /// Remarks on what the findings were tested on, and on effects that are not delivered.
-fn notes(evidence: &Evidence, input: &Input, effects: &[Effect], disagreements: &[Disagreement]) -> Vec<String> {
+fn notes(
+    evidence: &Evidence,
+    input: &Input,
+    effects: &[Effect],
+    disagreements: &[Disagreement],
+    undetermined: &[Disagreement],
+) -> Vec<String> {
     let mut notes = Vec::new();
     match confirmation(evidence) {
         Confirmation::OneTrajectory => {
@@ -204,6 +215,13 @@ fn notes(evidence: &Evidence, input: &Input, effects: &[Effect], disagreements: 
         let Disagreement { run, joint, rms, expected } = one;
         format!(
             "run {run} differs from the runs that the model was identified from: {rms:.3} Nm in joint {joint}, expected {expected:.3} Nm"
+        )
+    }));
+    notes.extend(undetermined.iter().map(|one| {
+        let Disagreement { run, joint, rms, expected } = one;
+        format!(
+            "run {run} has {rms:.3} Nm in joint {joint} where the noise and what the model lacks make {expected:.3} Nm; the errors of the parameters explain \
+             it, so a motion that determines them better has to be recorded before more can be said"
         )
     }));
     let also = match input.judge {
@@ -466,11 +484,12 @@ fn residuals(
     found
 }
 
-fn verdict(effects: &[Effect], complete: bool) -> Verdict {
+fn verdict(effects: &[Effect], complete: bool, determined: bool) -> Verdict {
     let found = effects.iter().any(Effect::counts);
     let rivals = effects.iter().any(|effect| effect.counts() && !effect.alternatives.is_empty());
     match (found, !complete) {
-        (false, false) => Verdict::NothingSignificant,
+        (false, false) if determined => Verdict::NothingSignificant,
+        (false, false) => Verdict::NotDetermined,
         (false, true) => Verdict::Unexplained,
         (true, true) => Verdict::Partly,
         (true, false) if rivals => Verdict::Ambiguous,
