@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Pairs of effects that a small motion cannot tell apart, and the motions that plumbline plans and drives to decide.
 
-study.py PROGRAM OUT SEED...: for each kind and seed, a job whose first motion is small (each joint within 0.3 rad), then at most two rounds. Prints one
+study.py PROGRAM OUT SEED...: for each kind and seed, a job whose first motion is small (each joint within 0.2 rad), then at most two rounds. Prints one
 line per case and, at the end, a table.
 """
 import json
@@ -12,21 +12,19 @@ import sys
 
 REPOSITORY = pathlib.Path(__file__).resolve().parents[2]
 START = [0.0, -0.7854, 0.0, -2.3562, 0.0, 1.5708, 0.7854]
-REACH = 0.3
+REACH = 0.2
 ROUNDS = 2
 
-# Effect, joint, its entry in the arm file. The sizes are those that a small motion shows and cannot name for certain.
+# Effect, joint, its entry in the arm file.
 KINDS = {
-    "ripple of one wave a turn": ("position-ripple", 3, "order = 1\nsine = 0.3"),
-    "spring": ("spring", 5, "stiffness = 0.5\nrest = 0.6"),
-    "Stribeck friction": ("stribeck", 4, "excess = 0.15\nvelocity = 0.1"),
-    "friction that rises with speed": ("coulomb-slope", 4, "size = 0.5\nvelocity = 0.1"),
-    "friction of the root of the speed": ("nonlinear-viscous", 4, 'form = "cube-root"\nsize = 0.3'),
-    "friction over the position": ("position-dependent-friction", 3, "order = 1\nsine = 0.2"),
-    "eccentric encoder": ("encoder-eccentricity", 4, "amplitude = 0.004"),
-    "offset of an encoder": ("encoder-offset", 4, "offset = 0.01"),
-    "presliding": ("presliding", 2, "delta = 0.004"),
-    "friction under load": ("load-dependent-friction", 2, "coulomb = 0.01"),
+    "ripple of one wave a turn, joint 3": ("position-ripple", 3, "order = 1\nsine = 0.3"),
+    "ripple of one wave a turn, joint 5": ("position-ripple", 5, "order = 1\nsine = 0.15"),
+    "ripple of two waves a turn": ("position-ripple", 5, "order = 2\nsine = 0.1"),
+    "spring": ("spring", 5, "stiffness = 0.2\nrest = 0.0"),
+    "friction that rises with the square of the speed": ("nonlinear-viscous", 4, 'form = "quadratic"\nsize = 0.5'),
+    "friction that rises over 0.03 rad/s": ("coulomb-slope", 4, "size = 0.08\nvelocity = 0.03"),
+    "elasticity of a joint": ("joint-elasticity", 4, "stiffness = 2000"),
+    "offset of an encoder": ("encoder-offset", 4, "offset = 0.05"),
 }
 
 
