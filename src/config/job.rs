@@ -414,7 +414,7 @@ pub struct Live {
 
 impl Default for Live {
     fn default() -> Live {
-        Live { watch: false, window: 10.0, adopt: Adopt::Ask, motion: 0.0 }
+        Live { watch: false, window: 4.0, adopt: Adopt::Ask, motion: 0.0 }
     }
 }
 

@@ -4,7 +4,7 @@ pub mod live;
 
 use crate::analysis::collector::{Collector, Recorded};
 use crate::analysis::results::Results;
-use crate::estimator::live::{Live, OfferedModel};
+use crate::estimator::live::{Live, OfferedModel, Verdict};
 use crate::failure::Failure;
 use crate::process::journal;
 use crate::process::service::Service;
@@ -135,10 +135,10 @@ fn follow(
                     {
                         return Ok(Outcome::Unusable { why: format!("the daemon refused the model: {why}") });
                     }
-                    if let Some(live) = &mut live
-                        && let Some(offer) = live.update(record)?
-                    {
-                        propose(id, stream.epoch(), offer)?;
+                    if let Some(live) = &mut live {
+                        let offer = live.update(record)?;
+                        live.verdict().map_or(Ok(()), |verdict| tell(id, stream.epoch(), verdict))?;
+                        offer.map_or(Ok(()), |offer| propose(id, stream.epoch(), offer))?;
                     }
                 }
             }
@@ -278,6 +278,12 @@ fn propose(id: &RobotId, epoch: u64, offer: OfferedModel) -> Result<(), Failure>
         other => return Err(Failure::job(format!("unexpected response of the daemon to a proposal: {other:?}"))),
     }
     Ok(())
+}
+
+/// Tells the daemon whether its model holds. A refusal means that it serves another one by now.
+fn tell(id: &RobotId, epoch: u64, verdict: Verdict) -> Result<(), Failure> {
+    let request = Request::Doubt { model: verdict.model, why: verdict.doubt };
+    client_of(id, epoch)?.send(&request, RESPONSE_TIMEOUT).map(|_| ()).map_err(Failure::job)
 }
 
 fn client(id: &RobotId) -> Result<Client, Failure> {

@@ -169,8 +169,8 @@ pub(super) fn check(job: &Job) -> Result<(), BadInput> {
         return bad("safety.model-timeout", &format!("{} s", job.safety.model_timeout), "1 s to 86400 s");
     }
     let live = &job.live;
-    if !(4.0..=600.0).contains(&live.window) {
-        return bad("live.window", &format!("{} s", live.window), "4 s to 600 s");
+    if !(2.0..=60.0).contains(&live.window) {
+        return bad("live.window", &format!("{} s", live.window), "2 s to 60 s");
     }
     if !(0.0..=86_400.0).contains(&live.motion) {
         return bad("live.motion", &format!("{} s", live.motion), "0 s to 86400 s");

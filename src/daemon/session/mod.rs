@@ -162,6 +162,7 @@ impl Session {
     fn answer_requests(&mut self, daemon: &mut Daemon) {
         let waited = self.handles.controls.is_waiting();
         daemon.answer_requests(Some(&self.handles.controls));
+        self.handles.controls.doubt(daemon.state.models.doubted());
         if waited && !self.handles.controls.is_waiting() {
             // The loop takes its permission with its next state.
             self.open_gate();
