@@ -17,13 +17,14 @@ ROUNDS = 2
 
 # Effect, joint, its entry in the arm file.
 KINDS = {
-    "ripple of one wave a turn, joint 3": ("position-ripple", 3, "order = 1\nsine = 0.3"),
+    "ripple of one wave a turn, joint 3": ("position-ripple", 3, "order = 1\nsine = 0.6"),
     "ripple of one wave a turn, joint 5": ("position-ripple", 5, "order = 1\nsine = 0.15"),
-    "ripple of two waves a turn": ("position-ripple", 5, "order = 2\nsine = 0.1"),
-    "spring": ("spring", 5, "stiffness = 0.2\nrest = 0.0"),
-    "friction that rises with the square of the speed": ("nonlinear-viscous", 4, 'form = "quadratic"\nsize = 0.5'),
-    "friction that rises over 0.03 rad/s": ("coulomb-slope", 4, "size = 0.08\nvelocity = 0.03"),
-    "elasticity of a joint": ("joint-elasticity", 4, "stiffness = 2000"),
+    "ripple of two waves a turn, joint 5": ("position-ripple", 5, "order = 2\nsine = 0.1"),
+    "spring, joint 3": ("spring", 3, "stiffness = 0.6\nrest = 0.0"),
+    "spring, joint 5": ("spring", 5, "stiffness = 0.2\nrest = 0.0"),
+    "friction that rises with the square of the speed": ("nonlinear-viscous", 4, 'form = "quadratic"\nsize = 1.0'),
+    "friction that rises with the cube of the speed": ("nonlinear-viscous", 4, 'form = "cubic"\nsize = 3.0'),
+    "elasticity of a joint": ("joint-elasticity", 4, "stiffness = 8000"),
     "offset of an encoder": ("encoder-offset", 4, "offset = 0.05"),
 }
 
@@ -99,13 +100,14 @@ def main():
             right, words = case(program, out / f'{name.replace(" ", "-")}-{seed}', name, seed)
             print(name, seed, right, words, flush=True)
             rows.setdefault(name, []).append(right)
-    print("\n| effect | cases | named at once | open after the small motion | of these right after a round | after two |")
-    print("|---|---|---|---|---|---|")
+    print("\n| effect | cases | right at once | nothing found | left open | of these right after a round | after two |")
+    print("|---|---|---|---|---|---|---|")
     for name, cases in rows.items():
         known = [right for right in cases if right]
-        still = [right for right in known if not right[0]]
+        still = [right for right in known if len(right) > 1]
         after = lambda rounds: sum(any(right[1 : rounds + 1]) for right in still)
-        print(f"| {name} | {len(cases)} | {len(known) - len(still)} | {len(still)} | {after(1)} | {after(2)} |")
+        at_once = sum(right[0] for right in known)
+        print(f"| {name} | {len(cases)} | {at_once} | {len(known) - at_once - len(still)} | {len(still)} | {after(1)} | {after(2)} |")
 
 
 if __name__ == "__main__":

@@ -1,5 +1,8 @@
 //! Live watch of the estimator: monitors the residual of the served model, detects changes and proposes a new model.
 
+mod log;
+
+use self::log::{Event, Log, Stretch};
 use crate::analysis::pipeline;
 use crate::config::job::{Adopt, Job};
 use crate::dataset::Run;
@@ -14,7 +17,6 @@ use plumbline_identify::{Experiment, Settings};
 
 use plumbline_ipc::{Proposal, Status};
 use plumbline_model::{Mounting, Robot, TorqueModel};
-use serde::Serialize;
 use std::collections::VecDeque;
 use std::path::{Path, PathBuf};
 use std::thread::JoinHandle;
@@ -46,69 +48,6 @@ pub struct Verdict {
     pub model: u64,
     /// How the measured torques contradict it, if they do.
     pub doubt: Option<String>,
-}
-
-/// Content of `live.json`.
-#[derive(Default, Serialize)]
-struct Log {
-    /// Usual error at the identification, and alarm threshold, per joint \[Nm\].
-    usual: Vec<f64>,
-    limit: Vec<f64>,
-    events: Vec<Event>,
-    stretches: VecDeque<Stretch>,
-}
-
-/// An event, with the time of the arm \[s\].
-#[derive(Serialize)]
-#[serde(tag = "event", rename_all = "kebab-case")]
-enum Event {
-    /// The error exceeds the alarm threshold.
-    Lost {
-        t: f64,
-        since: f64,
-        joint: usize,
-        rms: f64,
-        usual: f64,
-    },
-    /// The error is below the threshold again.
-    Holds {
-        t: f64,
-        since: f64,
-    },
-    /// A model for what changed, first or refined, or an earlier one that holds again.
-    Proposed {
-        t: f64,
-        since: f64,
-        model: String,
-        what: String,
-        effects: Vec<Effect>,
-        before: Vec<f64>,
-        after: Vec<f64>,
-    },
-    /// No change was found that lowers the error.
-    Unexplained {
-        t: f64,
-        tried: usize,
-        rms: Vec<f64>,
-    },
-    Served {
-        t: f64,
-        model: String,
-    },
-    Rejected {
-        t: f64,
-    },
-}
-
-/// Errors over a stretch, per joint \[Nm\]: of the model along the measured motion after the low-pass, and of the torque that was
-/// served, raw.
-#[derive(Serialize)]
-struct Stretch {
-    start: f64,
-    end: f64,
-    model: String,
-    rms: Vec<f64>,
-    served_rms: Vec<f64>,
 }
 
 /// A change that the model before it does not have.
