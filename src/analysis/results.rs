@@ -35,6 +35,8 @@ pub struct Results {
     plan: Option<Motion>,
     motions: Vec<MotionUsage>,
     recorded: Vec<Recorded>,
+    /// Begin of the first of them on the arm's clock \[s\].
+    clock: Option<f64>,
     model: Option<Identified>,
     notes: Vec<String>,
 }
@@ -49,6 +51,7 @@ impl Results {
             plan: programme.motions().find(|motion| motion.role == Role::Identify).cloned(),
             motions: programme.motions().filter_map(usage).collect(),
             recorded: Vec::new(),
+            clock: None,
             model: None,
             notes: Vec::new(),
         }
@@ -69,7 +72,10 @@ impl Results {
     }
 
     pub fn take(&mut self, mut recorded: Recorded) {
-        recorded.run.start = self.recorded.last().map_or(0.0, |last| last.run.end());
+        // A daemon that was started again may have another clock.
+        let end = self.recorded.last().map_or(0.0, |last| last.run.end());
+        let first = *self.clock.get_or_insert(recorded.run.start);
+        recorded.run.start = f64::max(recorded.run.start - first, end);
         tracing::info!("{} was recorded: {} samples", recorded.run.data.name, recorded.run.samples());
         self.recorded.push(recorded);
     }
