@@ -100,7 +100,9 @@ impl Collector {
             Role::Identify | Role::Counter => dataset::Role::Identify,
             Role::Validate | Role::Live => dataset::Role::Validate,
         };
-        let run = Run { extra, ..Run::new(data, role) };
+        // On the arm's clock.
+        let start = kept.first().map_or(0.0, |record| record.state.time);
+        let run = Run { extra, start, ..Run::new(data, role) };
         // The last sample of a motion is one tick after its last period.
         let complete = !broken && records.last().is_some_and(|record| record.tick + 1 >= motion.ticks() as u64);
         Recorded { number: motion.number, role: motion.role, run, complete }

@@ -5,7 +5,7 @@ use crate::analysis::split;
 use crate::dataset::Run;
 use crate::failure::Failure;
 use crate::process::progress;
-use plumbline_diagnose::changing::{Changing, changing, cleaned};
+use plumbline_diagnose::changing::{Changing, changing, cleaned, until_the_end};
 use plumbline_diagnose::errors::Of;
 use plumbline_diagnose::figures::Curves;
 use plumbline_diagnose::outcome::Changes;
@@ -140,6 +140,11 @@ fn prepared(question: &Question) -> Result<(Vec<Experiment>, Changing, Vec<Exper
         }
     }
     cleaned(&mut experiments, &found);
+    if let Some(plain) = &plain {
+        let operating_point = question.structure.operating_point(&plain.beta());
+        let drifts = until_the_end(&found, &operating_point, &trials(&experiments, question.identify));
+        experiments.iter_mut().zip(drifts.into_iter().flatten()).for_each(|(one, torque)| one.take_off_drift(torque));
+    }
     if let Some(plain) = &plain {
         let predict = |motion: &Motion| plain.predict(motion);
         experiments.iter_mut().chain(&mut unseen).for_each(|experiment| experiment.add_resolution(predict));

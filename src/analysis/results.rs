@@ -37,6 +37,8 @@ pub struct Results {
     plan: Option<Motion>,
     motions: Vec<MotionUsage>,
     recorded: Vec<Recorded>,
+    /// Begin of the first of them on the arm's clock \[s\].
+    clock: Option<f64>,
     model: Option<Identified>,
     notes: Vec<String>,
     /// The rounds before this one.
@@ -53,6 +55,7 @@ impl Results {
             plan: programme.motions().find(|motion| motion.role == Role::Identify).cloned(),
             motions: programme.motions().filter_map(usage).collect(),
             recorded: Vec::new(),
+            clock: None,
             model: None,
             notes: Vec::new(),
             rounds: Vec::new(),
@@ -94,7 +97,10 @@ impl Results {
             let name = recorded.run.data.name.trim_end_matches(".csv");
             recorded.run.data.name = format!("{name}-round-{}.csv", self.rounds.len() + 1);
         }
-        recorded.run.start = self.recorded.last().map_or(0.0, |last| last.run.end());
+        // A daemon that was started again may have another clock, as that of a further round has.
+        let end = self.recorded.last().map_or(0.0, |last| last.run.end());
+        let first = *self.clock.get_or_insert(recorded.run.start - end);
+        recorded.run.start = f64::max(recorded.run.start - first, end);
         tracing::info!("{} was recorded: {} samples", recorded.run.data.name, recorded.run.samples());
         self.recorded.push(recorded);
     }

@@ -8,13 +8,16 @@ pub(super) fn content_hash(dataset: &Dataset) -> String {
     let mut hasher = Sha256::new();
     let mut number = |value: f64| hasher.update((value + 0.0).to_le_bytes());
     number(dataset.runs.len() as f64);
-    for run in &dataset.runs {
+    for (index, run) in dataset.runs.iter().enumerate() {
         number(match run.role {
             Role::Identify => 0.0,
             Role::Validate => 1.0,
         });
         number(run.data.period.unwrap_or(0.0));
         number(f64::from(run.session));
+        if dataset.pause_before(index) {
+            number(run.start);
+        }
         number(run.data.mounting.rho);
         number(run.data.mounting.phi);
         number(run.samples() as f64);

@@ -73,6 +73,8 @@ pub(super) struct RunEntry {
     #[serde(default = "reference_session", skip_serializing_if = "is_reference_session")]
     pub session: u32,
     #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub start: Option<f64>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub mounting: Option<GravityAngles>,
 }
 
@@ -83,6 +85,9 @@ fn reference_session() -> u32 {
 fn is_reference_session(session: &u32) -> bool {
     *session == reference_session()
 }
+
+/// Times that are nearer than this are one \[s\].
+pub(super) const SAME_TIME_S: f64 = 1e-6;
 
 /// The name of the description in a dataset's folder.
 pub(super) const FILE: &str = "dataset.toml";
@@ -118,7 +123,12 @@ pub(super) fn read(dir: &Path) -> Result<Dataset, BadInput> {
                 "a file named only once",
             ));
         }
-        let start = runs.last().map_or(0.0, Run::end);
+        let end = runs.last().map_or(0.0, Run::end);
+        let start = manifest.runs[index].start.unwrap_or(end);
+        if !(start.is_finite() && start >= end - SAME_TIME_S) {
+            let expected = format!("a time in s, {end:.3} or later, where the run before ends");
+            return Err(BadInput::new(&file, format!("key `run[{index}].start`"), start, expected));
+        }
         runs.push(Run { start, ..run });
     }
     let n = runs[0].joints();

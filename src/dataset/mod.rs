@@ -42,7 +42,7 @@ pub struct Run {
     pub note: String,
     /// Between sessions something about the arm may have changed; session 1 is the reference for the others.
     pub session: u32,
-    /// Its begin on a clock that counts through the runs before it \[s\].
+    /// Its begin on the clock of the recording; where that is not known, the end of the run before \[s\].
     pub start: f64,
     /// Further columns by name, in the order of the file.
     pub extra: Vec<(String, Vec<f64>)>,
@@ -68,6 +68,12 @@ impl Dataset {
     /// Number of joints, n.
     pub fn joints(&self) -> usize {
         self.runs.first().map_or(0, Run::joints)
+    }
+
+    /// Whether the run of this index begins later than the run before ends.
+    fn pause_before(&self, index: usize) -> bool {
+        let end = index.checked_sub(1).map_or(0.0, |before| self.runs[before].end());
+        self.runs[index].start > end + manifest::SAME_TIME_S
     }
 
     /// Checks that the data has as many joints as the robot it names.

@@ -25,12 +25,13 @@ pub(super) fn write(dataset: &Dataset, dir: &Path) -> io::Result<()> {
 
 fn describe(dataset: &Dataset) -> Manifest {
     let angles = |mounting: Mounting| GravityAngles { rho: mounting.rho, phi: mounting.phi };
-    let entry = |run: &Run| RunEntry {
+    let entry = |(index, run): (usize, &Run)| RunEntry {
         file: run.data.name.clone(),
         role: run.role,
         note: run.note.clone(),
         period: run.data.period,
         session: run.session,
+        start: dataset.pause_before(index).then_some(run.start),
         mounting: (run.data.mounting != dataset.mounting).then(|| angles(run.data.mounting)),
     };
     Manifest {
@@ -39,7 +40,7 @@ fn describe(dataset: &Dataset) -> Manifest {
         source: dataset.source.clone(),
         mounting: angles(dataset.mounting),
         torque: TorqueUnit::default(),
-        runs: dataset.runs.iter().map(entry).collect(),
+        runs: dataset.runs.iter().enumerate().map(entry).collect(),
     }
 }
 

@@ -7,9 +7,8 @@ use plumbline_model::Robot;
 use plumbline_rt::os::Monotonic;
 use plumbline_sim::{SimConnector, Truth};
 
-const ARMS: [(&str, &str); 3] = [
+const ARMS: [(&str, &str); 2] = [
     ("sim-panda", include_str!("../../config/arms/sim-panda.toml")),
-    ("sim-panda-effect", include_str!("../../config/arms/sim-panda-effect.toml")),
     ("sim-paper-2dof", include_str!("../../config/arms/sim-paper-2dof.toml")),
 ];
 

@@ -15,7 +15,7 @@ use plumbline_rt::{CycleSettings, Event, GuardSettings, Handles, cycle};
 use plumbline_sim::{Gate, Pace};
 use plumbline_testkit::emulator;
 use plumbline_testkit::fake_arm::drive::{Wave, dwell, follow, move_to, panda_limits, settings};
-use plumbline_testkit::sim::{arm, sim};
+use plumbline_testkit::sim::{THREE_EFFECTS, arm_with, sim};
 use seccompiler::{BpfProgram, SeccompAction, SeccompFilter};
 use std::io::Write;
 use std::sync::Arc;
@@ -201,11 +201,11 @@ pub fn run(name: &str, seal: Seal) -> Result<Outcome, Interrupted> {
     match name {
         "sim-fast" => {
             let gate = Arc::new(Gate::new(1000));
-            let arm = sim(&arm("sim-panda-effect"), 3, Pace::Fast(Arc::clone(&gate)));
+            let arm = sim(&arm_with("sim-panda", THREE_EFFECTS), 3, Pace::Fast(Arc::clone(&gate)));
             whole(SealedArm::new(arm, name, seal), Some(gate), limits, name)
         }
         "sim-wall-clock" => {
-            let arm = sim(&arm("sim-panda-effect"), 3, Pace::WallClock(Box::new(Monotonic)));
+            let arm = sim(&arm_with("sim-panda", THREE_EFFECTS), 3, Pace::WallClock(Box::new(Monotonic)));
             whole(SealedArm::new(arm.with_max_missed(1000), name, seal), None, limits, name)
         }
         _ => {

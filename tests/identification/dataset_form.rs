@@ -32,6 +32,7 @@ fn made_up(samples: usize, n: usize) -> Dataset {
     let mut runs = vec![run("a.csv", Role::Identify), run("b.csv", Role::Validate)];
     runs[1].data.mounting = Mounting::UPRIGHT;
     runs[1].session = 2;
+    runs[1].start = 3.5;
     runs[1].data.period = None;
     runs[1].data.dq = None;
     let source = "origin = \"a seed\"".parse().unwrap();
@@ -49,8 +50,8 @@ fn what_is_written_reads_back_bit_by_bit() {
     assert_eq!(read.runs.len(), 2);
     for (a, b) in read.runs.iter().zip(&written.runs) {
         assert_eq!(
-            (&a.data.name, a.role, &a.note, a.data.period, a.session),
-            (&b.data.name, b.role, &b.note, b.data.period, b.session)
+            (&a.data.name, a.role, &a.note, a.data.period, a.session, a.start),
+            (&b.data.name, b.role, &b.note, b.data.period, b.session, b.start)
         );
         assert_eq!(a.data.mounting, b.data.mounting);
         assert_eq!(
@@ -162,6 +163,8 @@ fn bad_descriptions_are_refused_by_key_and_value() {
         ("file = \"b.csv\"", "file = \"a.csv\"", "key `run[1].file`: got a.csv"),
         ("file = \"b.csv\"", "file = \"../b.csv\"", "key `run[1].file`: got `../b.csv`"),
         ("session = 2", "session = 0", "key `run[1].session`: got 0"),
+        ("start = 3.5", "start = 0.01", "key `run[1].start`: got 0.01, expected a time in s, 0.0"),
+        ("start = 3.5", "start = inf", "key `run[1].start`: got inf"),
         ("period = 0.01", "period = 3.0", "key `run[0].period`: got 3"),
         ("phi = 0.0", "phi = 90.0", "key `mounting.phi`: got 90, expected an angle in rad"),
         ("phi = 0.0", "phi = nan", "key `mounting.phi`: got NaN"),

@@ -196,7 +196,8 @@ impl Delivery<'_> {
             state.items.iter().zip(kept).filter(|(_, kept)| **kept).map(|(item, _)| item.spec.clone()).collect();
         if specs.is_empty() {
             let structure = input.structure.clone();
-            return match self.acting.is_empty() {
+            let as_before = experiments.iter().all(|experiment| experiment.as_recorded().is_none());
+            return match self.acting.is_empty() && as_before {
                 true => Ok(plain()),
                 false => {
                     Ok(Fitted { identification: identify_with(&structure, experiments, input.options)?, structure })

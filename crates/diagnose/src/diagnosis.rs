@@ -85,7 +85,12 @@ pub(super) const THRESHOLD_FLOOR_RATIO: f64 = 0.75;
 pub fn diagnose(input: &Input, settings: &Settings, progress: &dyn Fn(&Step)) -> Result<Outcome, EstimateError> {
     let structure = input.structure;
     let experiments: Vec<Experiment> = input.identify.iter().map(|trial| trial.experiment.clone()).collect();
-    let before = identify_with(structure, &experiments, input.options)?;
+    // The plain model knows nothing of a drift; everything after it is about the arm without.
+    let drifting: Vec<Experiment> = experiments.iter().filter_map(Experiment::as_recorded).collect();
+    let drifts = drifting.len() == experiments.len();
+    let recorded = if drifts { &drifting } else { &experiments };
+    let before = identify_with(structure, recorded, input.options)?;
+    let with_drift = drifts.then(|| plain_facts(structure, &trials_of(recorded.iter(), input.identify), settings));
     let evidence = Evidence::of(structure.chain(), input.identify, settings.band);
     let columns = columns_of(&evidence, structure, input.identify);
     let problem = Problem { evidence: &evidence, prior: None };
@@ -145,7 +150,8 @@ pub fn diagnose(input: &Input, settings: &Settings, progress: &dyn Fn(&Step)) ->
     let left_out = (evidence.folds().len() > 1).then(|| gates::left_out(&search.problem, &base, left));
     let facts = |joint: usize| {
         let left_out = left_out.as_ref().map_or(BeforeAfter::default(), |errors| BeforeAfter::both(errors[joint]));
-        JointFacts { left_out, adequacy: adequacy[joint], ..facts(&evidence, settings, joint, &base, left) }
+        let own = JointFacts { left_out, adequacy: adequacy[joint], ..facts(&evidence, settings, joint, &base, left) };
+        with_drift.as_ref().map_or(own, |before| own.since(&before[joint]))
     };
     let joints: Vec<JointFacts> = (0..evidence.joints()).map(facts).collect();
     let residuals = residuals(&evidence, left, settings, &joints, &adequacy);
@@ -449,6 +455,13 @@ fn facts(evidence: &Evidence, settings: &Settings, joint: usize, base: &State, a
         threshold: floor.map(|floor| settings.threshold.unwrap_or(THRESHOLD_FLOOR_RATIO * floor)),
         ..JointFacts::default()
     }
+}
+
+/// Facts about each joint under the plain model of these runs.
+fn plain_facts(structure: &Structure, trials: &[Trial], settings: &Settings) -> Vec<JointFacts> {
+    let evidence = Evidence::of(structure.chain(), trials, settings.band);
+    let base = State::base(&Problem { evidence: &evidence, prior: None }, columns_of(&evidence, structure, trials));
+    (0..evidence.joints()).map(|joint| facts(&evidence, settings, joint, &base, &base)).collect()
 }
 
 /// Joints in which the model lacks something that no effect explains. Where the noise is not known, those in which what is left over

@@ -5,14 +5,14 @@ use plumbline_core::{Backend, Setpoint, State};
 use plumbline_franka::wire::Protocol;
 use plumbline_franka::{Interface, Purpose, RobotKind, Settings, connect, explain};
 use plumbline_sim::{Gate, Pace, Truth};
-use plumbline_testkit::sim::{TestClock, command, excitation, sim};
+use plumbline_testkit::sim::{THREE_EFFECTS, TestClock, arm_with, command, excitation, sim};
 use std::sync::Arc;
 use std::time::Instant;
 
 #[global_allocator]
 static GUARD: AllocDisabler = AllocDisabler;
 
-/// Every effect with a state, a memory or a search of its own, and the faults, besides those of the shipped file.
+/// Every effect with a state, a memory or a search of its own, and the faults, besides [`THREE_EFFECTS`].
 const MORE: &str = "
 [[effect]]
 id = 'presliding'
@@ -51,7 +51,7 @@ every = 1.0
 ";
 
 fn truth() -> Truth {
-    let mut truth = plumbline_testkit::sim::arm_with("sim-panda-effect", MORE);
+    let mut truth = arm_with("sim-panda", &[THREE_EFFECTS, MORE].concat());
     (truth.drop_probability, truth.drop_burst) = (0.02, 2);
     (truth.outlier_probability, truth.outlier_size, truth.repeat_probability) = (0.01, 3.0, 0.02);
     truth.joints.iter_mut().for_each(|joint| joint.torque_noise_coloured = 0.05);

@@ -67,6 +67,8 @@ pub struct Experiment {
     filter: Butterworth,
     /// Scatter of the torques as recorded, where weights are by frequency: the same whatever is taken off the deviations later.
     recorded_scatter: Option<Scatter>,
+    /// Torque of a drift that `tau` is without, N x n \[Nm\].
+    drift: Option<DMatrix<f64>>,
     /// Unfiltered positions on the even grid, ends included \[rad\].
     q: DMatrix<f64>,
     /// Measured velocities on the same grid \[rad/s\], where velocities and accelerations are computed from them.
@@ -177,6 +179,7 @@ impl Experiment {
             kept: (0..count).step_by(step).collect(),
             filter,
             recorded_scatter,
+            drift: None,
             q,
             dq,
             differentiator,
@@ -334,6 +337,18 @@ impl Experiment {
         let samples = self.motion.samples();
         centre(&mut repeats.tau, &repeats.counted, samples);
         self.noise_of_deviations();
+    }
+
+    /// Subtracts the torque of a drift from the mean torques, N x n \[Nm\].
+    pub fn take_off_drift(&mut self, torque: DMatrix<f64>) {
+        self.tau -= &torque;
+        self.drift = Some(torque);
+    }
+
+    /// The experiment with its drift; `None` where none was taken off.
+    pub fn as_recorded(&self) -> Option<Experiment> {
+        let drift = self.drift.as_ref()?;
+        Some(Experiment { tau: &self.tau + drift, drift: None, ..self.clone() })
     }
 
     /// [`Scatter::power`] and [`Experiment::noise`] of the periods' deviations as they are.

@@ -19,17 +19,22 @@ impl Timeline {
     /// Share of every sample of the grid, N, that was recorded between two times \[s\]: 0 or 1 without a period, the weight of some periods in
     /// their mean.
     pub fn share_between(&self, from: f64, to: f64) -> Vec<f64> {
-        let between = |row: usize| (from..to).contains(&(row as f64 * self.dt));
+        self.mean_of(|t| f64::from((from..to).contains(&t)))
+    }
+
+    /// Mean of a function of time over the periods, for each sample of the grid, N; without a period the function.
+    pub fn mean_of(&self, function: impl Fn(f64) -> f64) -> Vec<f64> {
+        let at = |row: usize| function(row as f64 * self.dt);
         if self.periods.is_empty() {
-            return (0..self.samples).map(|k| f64::from(between(self.edge + k))).collect();
+            return (0..self.samples).map(|k| at(self.edge + k)).collect();
         }
-        let mut share = vec![0.0; self.samples];
+        let mut mean = vec![0.0; self.samples];
         for (period, weights) in self.periods.iter().zip(self.weights.chunks(self.samples)) {
-            for (k, weight) in weights.iter().enumerate().filter(|(k, _)| between(period * self.samples + k)) {
-                share[k] += weight;
+            for (k, weight) in weights.iter().enumerate() {
+                mean[k] += weight * at(period * self.samples + k);
             }
         }
-        share
+        mean
     }
 
     /// Time of a sample of the grid \[s\]; in the first of the periods that are in a mean.
@@ -61,6 +66,7 @@ mod tests {
         assert_eq!(mean.share_between(3.0, f64::INFINITY), [0.25, 0.5, 1.0, 1.0]);
         assert_eq!(mean.share_between(4.5, 5.5), [0.0, 0.5, 0.5, 0.0]);
         assert_eq!(mean.end(), 6.0);
+        assert_eq!(mean.mean_of(|t| t), [2.5, 3.5, 4.0, 4.5]);
         let once = Timeline { dt: 0.5, samples: 4, edge: 2, periods: Vec::new(), weights: Vec::new() };
         assert_eq!(once.share_between(1.5, 2.5), [0.0, 1.0, 1.0, 0.0]);
         assert_eq!(once.end(), 3.0);

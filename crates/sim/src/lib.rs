@@ -3,7 +3,7 @@
 //!
 //! | file | what |
 //! |---|---|
-//! | `truth` | the arm's masses, friction, controller, sensors and effects, from a file |
+//! | `truth`, `truth_file` | the arm's masses, friction, controller, sensors and effects; their file |
 //! | `spatial`, `aba` | rigid-body dynamics, independent of the model's |
 //! | `effect` | effects that a rigid-body model lacks |
 //! | `commands`, `plant` | the controller's smooth target; the integration |
@@ -57,6 +57,7 @@ mod response;
 mod sensors;
 mod spatial;
 mod truth;
+mod truth_file;
 
 pub use connector::SimConnector;
 pub use effect::Reading;

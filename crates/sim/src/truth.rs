@@ -1,50 +1,38 @@
-//! The true parameters of a simulated arm: masses, friction, controller, sensors and effects, from a TOML file.
+//! The true parameters of a simulated arm: masses, friction, controller, sensors and effects.
 
 use super::effect::{Effect, EffectSpec, Kind, rotor_inertia};
 use super::spatial::Inertia;
 use nalgebra::{Matrix3, Vector3};
-use plumbline_core::{BadInput, MAX_JOINTS, from_toml, symmetric_eigen};
+use plumbline_core::{BadInput, MAX_JOINTS, symmetric_eigen};
 use plumbline_model::LinkParameters;
 use serde::Deserialize;
 
 /// The true parameters of a simulated arm. The estimator has no access to them.
-#[derive(Clone, Debug, PartialEq, Deserialize)]
-#[serde(deny_unknown_fields, rename_all = "kebab-case")]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Truth {
     /// Name of the robot description whose kinematics it has.
     pub robot: String,
     /// Bodies, base first, one per joint.
-    #[serde(rename = "link")]
     pub links: Vec<LinkTruth>,
     /// Friction, controller and sensors, base first, one per link.
-    #[serde(rename = "joint")]
     pub joints: Vec<JointTruth>,
     /// Integration steps per millisecond.
-    #[serde(default = "four")]
     pub substeps: u32,
     /// Probability that a burst of lost states begins at a state.
-    #[serde(default)]
     pub drop_probability: f64,
     /// States lost in one burst.
-    #[serde(default = "one")]
     pub drop_burst: u32,
     /// Corner frequency of the coloured part of the torque sensors' noise \[Hz\].
-    #[serde(default = "one_hertz")]
     pub torque_noise_corner: f64,
     /// Probability that a joint's torque is an outlier in a state.
-    #[serde(default)]
     pub outlier_probability: f64,
     /// Size of an outlier, up or down \[Nm\].
-    #[serde(default)]
     pub outlier_size: f64,
     /// Probability that a state repeats the readings and the time stamp of the state before.
-    #[serde(default)]
     pub repeat_probability: f64,
     /// Joints whose torque sensor is dead and reads 0 Nm, counted from 1.
-    #[serde(default)]
     pub dead_torque_sensors: Vec<usize>,
     /// Effects beyond the rigid body, `fv dq + fc tanh(100 dq)` and white noise, in the order in which they act.
-    #[serde(default, rename = "effect")]
     pub effects: Vec<EffectSpec>,
 }
 
@@ -95,18 +83,8 @@ pub struct JointTruth {
 }
 
 impl Truth {
-    /// Parses and checks the text of a truth file; `file` is only named in the error.
-    ///
-    /// # Errors
-    /// Other TOML than of this form, and impossible values: a mass that is not positive, an inertia that no distribution of mass has,
-    /// negative friction or noise, an effect on a joint that does not exist.
-    pub fn parse(file: &str, text: &str) -> Result<Truth, BadInput> {
-        let truth: Truth = from_toml(file, text)?;
-        truth.check(file)?;
-        Ok(truth)
-    }
-
-    fn check(&self, file: &str) -> Result<(), BadInput> {
+    /// Errors name `file`. The first `inherited` effects are those of another file.
+    pub(super) fn check(&self, file: &str, inherited: usize) -> Result<(), BadInput> {
         let n = self.links.len();
         let wrong = |place: String, value: String, expected: &str| Err(BadInput::new(file, place, value, expected));
         if n == 0 || n > MAX_JOINTS {
@@ -159,7 +137,11 @@ impl Truth {
             return wrong("drop-burst".into(), self.drop_burst.to_string(), "1 to 1000");
         }
         for (k, effect) in self.effects.iter().enumerate() {
-            effect.check(file, &format!("effect {}", k + 1), self)?;
+            let name = match k.checked_sub(inherited) {
+                Some(own) => format!("effect {}", own + 1),
+                None => format!("effect {} of the base", k + 1),
+            };
+            effect.check(file, &name, self)?;
         }
         let effects = self.build_effects();
         for joint in 0..n {
@@ -283,16 +265,4 @@ pub(super) fn check_body(
         ));
     }
     Ok(())
-}
-
-fn one_hertz() -> f64 {
-    1.0
-}
-
-fn four() -> u32 {
-    4
-}
-
-fn one() -> u32 {
-    1
 }

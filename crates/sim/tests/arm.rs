@@ -7,7 +7,9 @@ use plumbline_model::{Chain, Joint, JointKind, Mounting, Placement, Reduction, r
 use plumbline_sim::{
     Exact, Gate, Pace, REFLEX_COMMUNICATION, REFUSED_JUMP, REFUSED_NOT_FINITE, REFUSED_STOPPED, SimArm, SimError, Truth,
 };
-use plumbline_testkit::sim::{READY, TestClock, arm, command, excitation, panda, silent_panda, sim};
+use plumbline_testkit::sim::{
+    READY, THREE_EFFECTS, TestClock, arm, arm_with, command, excitation, panda, silent_panda, sim,
+};
 use std::f64::consts::FRAC_PI_2;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -82,9 +84,9 @@ fn reported_positions_agree_with_the_accelerations() {
 /// Three steps a millisecond are enough for the shipped arm, its steep friction included: eight times as many change nothing that matters.
 #[test]
 fn substeps_have_converged() {
-    for file in ["sim-panda", "sim-panda-effect"] {
+    for (file, effects) in [("no effect", ""), ("three effects", THREE_EFFECTS)] {
         let mut truth = silent_panda();
-        truth.effects = arm(file).effects;
+        truth.effects = arm_with("sim-panda", effects).effects;
         let shipped = follow(&mut sim(&truth, 0, fast()), 3000);
         truth.substeps *= 8;
         let fine = follow(&mut sim(&truth, 0, fast()), 3000);
@@ -117,7 +119,7 @@ fn noise_and_steps_are_as_written() {
 
 #[test]
 fn same_seed_and_commands_give_the_same_bits() {
-    let mut truth = arm("sim-panda-effect");
+    let mut truth = arm_with("sim-panda", THREE_EFFECTS);
     (truth.drop_probability, truth.drop_burst) = (0.01, 2);
     let states = |seed| follow(&mut sim(&truth, seed, fast()), 800).into_iter().map(|(s, _)| s).collect::<Vec<_>>();
     let bits = |states: &[State]| {
@@ -341,7 +343,7 @@ fn arms_that_do_not_fit_are_refused() {
 
 #[test]
 fn a_wrong_truth_names_the_place() {
-    let text = std::fs::read_to_string(plumbline_testkit::path("config/arms/sim-panda-effect.toml")).unwrap();
+    let text = std::fs::read_to_string(plumbline_testkit::path("config/arms/sim-panda.toml")).unwrap() + THREE_EFFECTS;
     let cases = [
         ("mass = 4.970684", "mass = -1.0", "link 1, mass"),
         ("0.027518, 0.039252", "nan, 0.039252", "link 3"),
@@ -360,6 +362,54 @@ fn a_wrong_truth_names_the_place() {
         let error = Truth::parse("arm.toml", &text.replacen(from, to, 1)).expect_err(to);
         assert_eq!(error.file, "arm.toml");
         assert!(error.place.contains(place), "{to}: `{error}` does not name {place}");
+    }
+}
+
+/// Writes an arm file with an effect (`base.toml`), and parses one beside it that extends it.
+fn parsed_over_base(text: &str) -> Result<Truth, String> {
+    let folder = tempfile::tempdir().unwrap();
+    let shipped = std::fs::read_to_string(plumbline_testkit::path("config/arms/sim-panda.toml")).unwrap();
+    let base = shipped + "[[effect]]\nid = \"torque-offset\"\njoint = 1\noffset = 0.3\n";
+    std::fs::write(folder.path().join("base.toml"), &base).unwrap();
+    std::fs::write(folder.path().join("based.toml"), "base = \"base.toml\"\n").unwrap();
+    std::fs::write(folder.path().join("light.toml"), base.replace("mass = 4.970684", "mass = -1.0")).unwrap();
+    let own = folder.path().join("own.toml").display().to_string();
+    let place = format!("{}/", folder.path().display());
+    Truth::parse(&own, text).map_err(|error| error.to_string().replace(&place, ""))
+}
+
+#[test]
+fn an_arm_file_extends_its_base() {
+    let base = parsed_over_base("base = \"base.toml\"").unwrap();
+    assert_eq!(base, arm_with("sim-panda", "[[effect]]\nid = \"torque-offset\"\njoint = 1\noffset = 0.3\n"));
+
+    let spring = "[[effect]]\nid = \"spring\"\njoint = 6\nstiffness = 1.0\n";
+    let own = parsed_over_base(&format!("base = \"base.toml\"\nsubsteps = 5\ndrop-burst = 2\n{spring}")).unwrap();
+    let expected =
+        arm_with("sim-panda", &format!("[[effect]]\nid = \"torque-offset\"\njoint = 1\noffset = 0.3\n{spring}"));
+    assert_eq!(own, Truth { substeps: 5, drop_burst: 2, ..expected });
+}
+
+#[test]
+fn a_wrong_base_is_refused_with_file_key_and_value() {
+    let cases = [
+        ("base = \"lost.toml\"", "own.toml: key `base`: got `lost.toml`, expected a readable arm file (lost.toml: "),
+        (
+            "base = \"based.toml\"",
+            "own.toml: key `base`: got `based.toml`, expected an arm file without a base of its own",
+        ),
+        ("base = \"own.toml\"", "own.toml: key `base`: got `own.toml`, expected a readable arm file"),
+        ("base = \"light.toml\"", "light.toml: link 1, mass: got -1"),
+        ("base = 3", "own.toml: line 1, key `base`: got `3`"),
+        ("base = \"base.toml\"\nbase-file = \"x\"", "own.toml: line 2, key `base-file`"),
+        ("base = \"base.toml\"\nsubsteps = 0", "own.toml: substeps: got 0"),
+        ("base = \"base.toml\"\n[[effect]]\nid = \"spring\"\njoint = 8", "own.toml: effect 1, joint: got 8"),
+        ("base = \"base.toml\"\nlink = []\njoint = []", "own.toml: link: got 0 links"),
+        ("robot = \"panda\"", "own.toml: key `link`: got nothing, expected `link`, or the `base` that has it"),
+    ];
+    for (text, expected) in cases {
+        let error = parsed_over_base(text).expect_err(text);
+        assert!(error.starts_with(expected), "{text}: `{error}` does not begin with `{expected}`");
     }
 }
 

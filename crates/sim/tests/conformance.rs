@@ -3,7 +3,7 @@
 use plumbline_core::{Backend, Command, Fault, State};
 use plumbline_sim::{Gate, Pace};
 use plumbline_testkit::conformance::conformance;
-use plumbline_testkit::sim::{READY, TestClock, arm, sim};
+use plumbline_testkit::sim::{READY, THREE_EFFECTS, TestClock, arm, arm_with, sim};
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -28,7 +28,7 @@ fn simulated_arm_that_loses_states() {
 
 #[test]
 fn simulated_arm_with_effects() {
-    conformance(|| sim(&arm("sim-panda-effect"), 4, Pace::Fast(Arc::new(Gate::unlimited()))));
+    conformance(|| sim(&arm_with("sim-panda", THREE_EFFECTS), 4, Pace::Fast(Arc::new(Gate::unlimited()))));
 }
 
 /// What a fake arm does wrong.

@@ -9,6 +9,26 @@ use std::time::{Duration, Instant};
 /// A pose in the middle of the Panda's range.
 pub const READY: JointVec = [0.0, -0.4, 0.0, -2.0, 0.3, 1.8, 0.5, 0.0];
 
+/// Effects of the sensor, of the friction and of a body that comes later, for a truth file's end.
+pub const THREE_EFFECTS: &str = r#"
+[[effect]]
+id = "torque-offset"
+joint = 1
+offset = 0.3
+
+[[effect]]
+id = "presliding"
+joint = 4
+delta = 0.002
+
+[[effect]]
+id = "payload"
+mass = 0.73
+com = [0.0, 0.0, 0.15]
+inertia = [0.001, 0.0, 0.0, 0.0025, 0.0, 0.0017]
+from = 60.0
+"#;
+
 pub fn panda() -> Chain {
     Robot::load("panda", None).expect("a shipped robot").chain
 }

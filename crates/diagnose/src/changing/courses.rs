@@ -5,7 +5,7 @@
 //! estimated with the course (profile likelihood), for noise at the lowest frequencies is stronger than that of single samples.
 //! Score, at least [`MIN_SCORE`]: twice the gain in log likelihood, less `k ln n` for `k` parameters and `2 ln N` for `N` candidates.
 
-use super::drift::{Course, Drift, Drifting};
+use super::drift::{Course, Drift, Drifting, Shared};
 use super::record::Record;
 use super::step::{self, Coming, Step};
 use nalgebra::{DMatrix, DVector};
@@ -41,10 +41,17 @@ struct Trial {
     what: What,
     /// Number of parameters of one set.
     width: usize,
-    /// Whether all runs have the same parameters.
-    common: bool,
+    /// What the runs share of it.
+    shared: Shared,
     /// Columns of each joint that it touches: joint, then run, then column; none in a run that it does not touch.
     columns: Vec<(usize, Vec<Vec<Vec<f64>>>)>,
+}
+
+impl Trial {
+    /// Whether all runs have the same parameters.
+    fn common(&self) -> bool {
+        self.shared != Shared::Nothing
+    }
 }
 
 /// What differs between the periods and is no event.
@@ -61,8 +68,8 @@ impl Courses {
     pub fn torque(&self, run: usize, record: &Record, operating_point: &OperatingPoint) -> DMatrix<f64> {
         let mut tau = DMatrix::zeros(record.tau.nrows(), record.joints());
         for drift in &self.drifts {
-            let values = &drift.values[if drift.common { 0 } else { run }];
-            tau += drift.what.torque(drift.course, values, record, operating_point);
+            let values = &drift.values[if drift.shared == Shared::Nothing { run } else { 0 }];
+            tau += drift.what.torque(drift.course, drift.shared, values, record, operating_point);
         }
         for step in self.steps.iter().filter(|step| step.run == record.experiment.name) {
             tau += &step.torque;
@@ -165,7 +172,7 @@ impl Deviations<'_> {
                 known += match trial.what {
                     What::Drift(what, course) => {
                         let values = self.values(trial, fitted, run);
-                        what.torque(course, values, record, self.operating_point)
+                        what.torque(course, trial.shared, values, record, self.operating_point)
                     }
                     What::Step(which, row) if coming[which].run == run => {
                         coming[which].torque(record, row, fitted.theta.as_slice())
@@ -199,12 +206,12 @@ impl Deviations<'_> {
             (joint, runs)
         };
         let columns = coming.since(&self.records[coming.run], row).into_iter().map(of_joint).collect();
-        Trial { what: What::Step(which, row), width: coming.width, common: true, columns }
+        Trial { what: What::Step(which, row), width: coming.width, shared: Shared::Parameters, columns }
     }
 
     /// Parameters of a drift in a run.
     fn values<'b>(&self, trial: &Trial, fitted: &'b Fitted, run: usize) -> &'b [f64] {
-        let first = if trial.common { 0 } else { run * trial.width };
+        let first = if trial.common() { 0 } else { run * trial.width };
         &fitted.theta.as_slice()[first..first + trial.width]
     }
 
@@ -221,9 +228,13 @@ impl Deviations<'_> {
         let mut trials = Vec::new();
         for what in what {
             for &course in &courses {
-                let own = self.trial(what, course, true);
+                let own = self.trial(what, course, Shared::Parameters);
                 if self.records.len() > 1 {
-                    trials.push(Trial { common: false, ..own.clone() });
+                    trials.push(Trial { shared: Shared::Nothing, ..own.clone() });
+                    // The deviations of a linear course are the same on both clocks.
+                    if course != Course::Linear {
+                        trials.push(self.trial(what, course, Shared::Course));
+                    }
                 }
                 trials.push(own);
             }
@@ -231,19 +242,19 @@ impl Deviations<'_> {
         trials
     }
 
-    fn trial(&self, what: Drifting, course: Course, common: bool) -> Trial {
+    fn trial(&self, what: Drifting, course: Course, shared: Shared) -> Trial {
         let columns = |joint: usize, record: &Record| -> Vec<Vec<f64>> {
             let column = |shape: &Vec<f64>| {
-                let at = |row: usize| shape[row % record.samples] * course.at(record.time(row));
+                let at = |row: usize| shape[row % record.samples] * course.at(record.clock(row, shared));
                 let mut x: Vec<f64> = (0..record.tau.nrows()).map(at).collect();
                 record.centre(&mut x);
                 record.coefficients(joint, &x, highest(record))
             };
-            what.shapes(joint, record, self.operating_point).iter().map(column).collect()
+            what.shapes(joint, &record.motion, self.operating_point).iter().map(column).collect()
         };
         let of_joint = |joint| (joint, self.records.iter().map(|record| columns(joint, record)).collect());
         let columns = what.joints(self.rows.len()).into_iter().map(of_joint).collect();
-        Trial { what: What::Drift(what, course), width: what.parameters().len(), common, columns }
+        Trial { what: What::Drift(what, course), width: what.parameters().len(), shared, columns }
     }
 
     /// Squares of a joint's coefficients in each band, with how many independent ones there are.
@@ -260,7 +271,7 @@ impl Deviations<'_> {
 
     fn fit(&self, trial: &Trial, rows: &[Rows]) -> Option<Fitted> {
         let width = trial.width;
-        let sets = if trial.common { 1 } else { self.records.len() };
+        let sets = if trial.common() { 1 } else { self.records.len() };
         let before: Vec<_> = trial.columns.iter().map(|(joint, _)| self.squares(*joint, &rows[*joint])).collect();
         let mut after = before.clone();
         let (mut theta, mut covariance) = (DVector::zeros(width * sets), DMatrix::zeros(width * sets, width * sets));
@@ -269,7 +280,7 @@ impl Deviations<'_> {
             for ((joint, columns), squares) in trial.columns.iter().zip(&after) {
                 let weights = squares.map(|(square, count)| if square > 0.0 { count / square } else { 0.0 });
                 for (run, own) in columns.iter().enumerate() {
-                    let first = if trial.common { 0 } else { run * width };
+                    let first = if trial.common() { 0 } else { run * width };
                     for (i, left) in own.iter().enumerate() {
                         let weighed = || left.iter().zip(&self.bands[run]).map(|(value, &band)| weights[band] * value);
                         b[first + i] += weighed().zip(&rows[*joint][run]).map(|(c, r)| c * r).sum::<f64>();
@@ -282,7 +293,7 @@ impl Deviations<'_> {
             covariance = g.cholesky()?.inverse();
             theta = &covariance * b;
             for ((joint, columns), squares) in trial.columns.iter().zip(&mut after) {
-                *squares = self.squares(*joint, &less(&rows[*joint], columns, &theta, trial.common));
+                *squares = self.squares(*joint, &less(&rows[*joint], columns, &theta, trial.common()));
             }
         }
         let mut evidence = 0.0;
@@ -315,7 +326,7 @@ impl Deviations<'_> {
         let mut best = best;
         let ratio = (5.0_f64.sqrt() - 1.0) / 2.0;
         let mut at = |log: f64| {
-            let trial = self.trial(what, Course::Saturating { time: log.exp() }, best.0.common);
+            let trial = self.trial(what, Course::Saturating { time: log.exp() }, best.0.shared);
             let Some(fitted) = self.fit(&trial, rows) else { return f64::NEG_INFINITY };
             let score = self.score(&trial, &fitted, candidates);
             if score > best.2 {
@@ -334,7 +345,7 @@ impl Deviations<'_> {
         let mut rest = self.rows.clone();
         for (trial, fitted, _) in taken {
             for (joint, columns) in &trial.columns {
-                rest[*joint] = less(&rest[*joint], columns, &fitted.theta, trial.common);
+                rest[*joint] = less(&rest[*joint], columns, &fitted.theta, trial.common());
             }
         }
         rest
@@ -345,14 +356,14 @@ impl Deviations<'_> {
         let sets = |values: &[f64]| values.chunks(trial.width).map(<[f64]>::to_vec).collect();
         let (mut squares, mut rows) = (vec![0.0; self.rows.len()], 0);
         for (run, record) in self.records.iter().enumerate() {
-            let tau = what.torque(course, self.values(trial, &fitted, run), record, self.operating_point);
+            let tau = what.torque(course, trial.shared, self.values(trial, &fitted, run), record, self.operating_point);
             rows += tau.nrows();
             squares.iter_mut().zip(squares_about_mean(record, &tau)).for_each(|(sum, square)| *sum += square);
         }
         Drift {
             what,
             course,
-            common: trial.common,
+            shared: trial.shared,
             values: sets(fitted.theta.as_slice()),
             std: sets(&std),
             evidence: fitted.evidence,

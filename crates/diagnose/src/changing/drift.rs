@@ -8,6 +8,8 @@
 
 use super::record::Record;
 use nalgebra::DMatrix;
+use plumbline_identify::Experiment;
+use plumbline_model::term::Motion;
 use plumbline_model::term::effect::OperatingPoint;
 use plumbline_model::term::friction::SHARPNESS;
 use plumbline_model::term::{friction_drift, offset_drift};
@@ -36,6 +38,17 @@ impl Course {
     pub(super) fn settings(self) -> usize {
         usize::from(self != Course::Linear)
     }
+}
+
+/// What the runs of a recording share of a drift.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Shared {
+    /// Nothing: each run has its own parameters.
+    Nothing,
+    /// The parameters. The course begins anew with each run, as after a pause.
+    Parameters,
+    /// Parameters and course, which begins with the first run.
+    Course,
 }
 
 /// What drifts. Joints count from 0.
@@ -81,11 +94,11 @@ impl Drifting {
     }
 
     /// What its course multiplies in a joint, over one period.
-    pub(super) fn shapes(self, joint: usize, record: &Record, operating_point: &OperatingPoint) -> Vec<Vec<f64>> {
-        let dq = record.motion.dq.column(joint);
+    pub(super) fn shapes(self, joint: usize, motion: &Motion, operating_point: &OperatingPoint) -> Vec<Vec<f64>> {
+        let dq = motion.dq.column(joint);
         let sign = || dq.iter().map(|dq| (SHARPNESS * dq).tanh());
         match self {
-            Drifting::Offset(_) => vec![vec![1.0; record.samples]],
+            Drifting::Offset(_) => vec![vec![1.0; motion.samples()]],
             Drifting::Friction(_) => vec![sign().collect(), dq.iter().copied().collect()],
             Drifting::AllFriction => {
                 let [fv, fc] = operating_point.friction[joint];
@@ -98,15 +111,16 @@ impl Drifting {
     pub(super) fn torque(
         self,
         course: Course,
+        shared: Shared,
         values: &[f64],
         record: &Record,
         operating_point: &OperatingPoint,
     ) -> DMatrix<f64> {
         let mut tau = DMatrix::zeros(record.tau.nrows(), record.joints());
         for joint in self.joints(record.joints()) {
-            for (shape, value) in self.shapes(joint, record, operating_point).iter().zip(values) {
+            for (shape, value) in self.shapes(joint, &record.motion, operating_point).iter().zip(values) {
                 for row in 0..tau.nrows() {
-                    tau[(row, joint)] += value * shape[row % record.samples] * course.at(record.time(row));
+                    tau[(row, joint)] += value * shape[row % record.samples] * course.at(record.clock(row, shared));
                 }
             }
         }
@@ -121,9 +135,9 @@ pub struct Drift {
     pub what: Drifting,
     /// How.
     pub course: Course,
-    /// Whether all runs have the same parameters; then there is one set of them.
-    pub common: bool,
-    /// Parameters, one set per run or one for all.
+    /// What the runs share of it.
+    pub shared: Shared,
+    /// Parameters, one set for all runs or, where they share nothing, one per run.
     pub values: Vec<Vec<f64>>,
     /// Their standard deviations, alike.
     pub std: Vec<Vec<f64>>,
@@ -135,4 +149,27 @@ pub struct Drift {
     pub explained: f64,
     /// RMS of what it does about the mean of the periods, per joint, over all runs \[Nm\].
     pub rms: Vec<f64>,
+}
+
+impl Drift {
+    /// What it does to the mean period of a run that begins at `start`, less what it does at `end`, N x n \[Nm\]. Times on the clock of its course.
+    pub(super) fn until(
+        &self,
+        end: f64,
+        experiment: &Experiment,
+        start: f64,
+        operating_point: &OperatingPoint,
+    ) -> DMatrix<f64> {
+        let motion = &experiment.motion;
+        let course = experiment.timeline.mean_of(|t| self.course.at(start + t) - self.course.at(end));
+        let mut tau = DMatrix::zeros(motion.samples(), motion.joints());
+        for joint in self.what.joints(motion.joints()) {
+            for (shape, value) in self.what.shapes(joint, motion, operating_point).iter().zip(&self.values[0]) {
+                for (k, (shape, course)) in shape.iter().zip(&course).enumerate() {
+                    tau[(k, joint)] += value * shape * course;
+                }
+            }
+        }
+        tau
+    }
 }

@@ -1,6 +1,6 @@
 //! What differs from period to period as effects, notes and data quality of a diagnosis.
 
-use super::{BaseMotion, Changing, Contact, Course, Drift, Drifting, Hygiene, Step};
+use super::{BaseMotion, Changing, Contact, Course, Drift, Drifting, Hygiene, Shared, Step};
 use crate::outcome::{Acts, Diagnosis, Effect, Folds, JointFacts, Parameters, Quantity, Verdict, places};
 use plumbline_model::term::{base_motion, contact};
 
@@ -58,7 +58,7 @@ impl Changing {
         for (set, (values, std)) in drift.values.iter().zip(&drift.std).enumerate() {
             for ((name, unit), (value, std)) in drift.what.parameters().iter().zip(values.iter().zip(std)) {
                 let unit = if drift.course == Course::Linear { format!("{unit}/min") } else { unit.to_string() };
-                let name = match self.runs.get(set).filter(|_| !drift.common) {
+                let name = match self.runs.get(set).filter(|_| drift.shared == Shared::Nothing) {
                     Some(run) => format!("{name} in {run}"),
                     None => name.to_string(),
                 };
@@ -77,7 +77,12 @@ impl Changing {
             torque_rms: drift.rms.iter().copied().reduce(f64::max),
             explained_share: Some(drift.explained),
             // One set of parameters for all runs is what more than one of them says.
-            confirmed: drift.common && self.runs.len() > 1,
+            confirmed: drift.shared != Shared::Nothing && self.runs.len() > 1,
+            acts: (drift.shared == Shared::Course).then(|| Acts {
+                run: self.runs.first().cloned().unwrap_or_default(),
+                from: 0.0,
+                to_end_of_recording: true,
+            }),
             ..Effect::of(drift.what.family(), form)
         }
     }
@@ -101,7 +106,14 @@ impl Changing {
 
     fn notes(&self) -> Vec<String> {
         let mut notes = Vec::new();
-        if !self.drifts.is_empty() {
+        let through = |drift: &Drift| drift.shared == Shared::Course;
+        if self.drifts.iter().any(through) {
+            notes.push(
+                "the parameters are those of the arm at the recording's end: what drifts through it is taken off"
+                    .into(),
+            );
+        }
+        if !self.drifts.iter().all(through) {
             notes.push("the parameters are those of the recordings' mean: what drifts is not in the model".into());
         }
         let mut events: Vec<(&str, f64, f64, String)> = Vec::new();

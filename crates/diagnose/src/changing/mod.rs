@@ -16,7 +16,7 @@ mod transient;
 
 pub use base_motion::BaseMotion;
 pub use contact::Contact;
-pub use drift::{Course, Drift, Drifting};
+pub use drift::{Course, Drift, Drifting, Shared};
 pub use outlier::Hygiene;
 pub use step::Step;
 
@@ -116,7 +116,9 @@ impl Changing {
 /// repeats have no part in it but for their hygiene.
 pub fn changing(operating_point: &OperatingPoint, trials: &[Trial]) -> Changing {
     let mut found = Changing::default();
-    let mut records: Vec<Record> = trials.iter().filter_map(|trial| Record::of(trial.experiment)).collect();
+    let first = begin(trials);
+    let mut records: Vec<Record> =
+        trials.iter().filter_map(|trial| Record::of(trial.experiment, trial.start - first)).collect();
     let mut courses = Deviations::of(&records, operating_point).courses();
     // What was fitted to an event goes where the event is masked, and what else an unknown course made an event comes back.
     for _ in 0..MAX_ROUNDS {
@@ -187,6 +189,32 @@ pub fn changing(operating_point: &OperatingPoint, trials: &[Trial]) -> Changing 
     found.spared = too_much.map(|record| record.experiment.name.clone()).collect();
     found.leave_out.retain(|one| !found.spared.contains(&one.run));
     found
+}
+
+/// Begin of the first run \[s\].
+fn begin(trials: &[Trial]) -> f64 {
+    trials.iter().map(|trial| trial.start).fold(f64::INFINITY, f64::min)
+}
+
+/// What drifts through the recording do to the mean period of each run, less what they do at the end of the last one, N x n \[Nm\]. Without it the
+/// runs are those of the arm as it is at the end. `None` without such a drift.
+pub fn until_the_end(
+    found: &Changing,
+    operating_point: &OperatingPoint,
+    trials: &[Trial],
+) -> Option<Vec<DMatrix<f64>>> {
+    let drifts: Vec<&Drift> = found.drifts.iter().filter(|drift| drift.shared == Shared::Course).collect();
+    if drifts.is_empty() {
+        return None;
+    }
+    let first = begin(trials);
+    let end = trials.iter().map(|trial| trial.start + trial.experiment.timeline.end()).fold(first, f64::max) - first;
+    let of_run = |trial: &Trial| {
+        let (samples, joints) = (trial.experiment.motion.samples(), trial.experiment.joints());
+        let torque = |drift: &&Drift| drift.until(end, trial.experiment, trial.start - first, operating_point);
+        drifts.iter().map(torque).fold(DMatrix::zeros(samples, joints), |sum, torque| sum + torque)
+    };
+    Some(trials.iter().map(of_run).collect())
 }
 
 /// Masks the events that are left without the courses; whether that changed anything.

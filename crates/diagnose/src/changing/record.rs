@@ -1,5 +1,6 @@
 //! The periods of one run on a grid that is as fine as slow effects need, and what is taken off them.
 
+use super::drift::Shared;
 use crate::fold::Cosines;
 use nalgebra::DMatrix;
 use plumbline_identify::signal::time_to_nearest;
@@ -23,6 +24,8 @@ pub(super) struct Record<'a> {
     pub repeats: &'a Repeats,
     /// Samples of the full rate in one of the grid.
     pub step: usize,
+    /// Its begin, since that of the first run \[s\].
+    pub start: f64,
     /// Time between samples \[s\].
     pub dt: f64,
     /// Samples of a period, N.
@@ -43,8 +46,8 @@ pub(super) struct Record<'a> {
 }
 
 impl Record<'_> {
-    /// Of a run whose periods were kept; `None` without repeats.
-    pub fn of(experiment: &Experiment) -> Option<Record<'_>> {
+    /// Of a run whose periods were kept, and its begin since that of the first run \[s\]; `None` without repeats.
+    pub fn of(experiment: &Experiment, start: f64) -> Option<Record<'_>> {
         let repeats = experiment.repeats.as_ref()?;
         let all = experiment.motion.samples();
         let most = (MAX_BLOCK_S / experiment.motion.dt * 1.001).floor().max(1.0) as usize;
@@ -64,6 +67,7 @@ impl Record<'_> {
             experiment,
             repeats,
             step,
+            start,
             dt: motion.dt,
             samples: all / step,
             standing: standing(&motion),
@@ -93,6 +97,11 @@ impl Record<'_> {
         let period = self.repeats.periods[row / self.samples];
         let middle = (self.step - 1) as f64 / (2.0 * self.step as f64);
         ((period * self.samples + row % self.samples) as f64 + middle) * self.dt
+    }
+
+    /// Time of a row on the clock of a drift's course \[s\].
+    pub fn clock(&self, row: usize, shared: Shared) -> f64 {
+        self.time(row) + if shared == Shared::Course { self.start } else { 0.0 }
     }
 
     /// Lets these samples not count; whether that changes anything.

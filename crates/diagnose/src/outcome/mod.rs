@@ -404,6 +404,17 @@ impl JointFacts {
         lack_of_fit.is_some_and(|ratio| ratio > LACK_OF_FIT_RATIO) && above
     }
 
+    /// The same facts after those of another model.
+    pub(super) fn since(self, before: &JointFacts) -> JointFacts {
+        let both = |before: BeforeAfter, after: BeforeAfter| BeforeAfter { before: before.before, ..after };
+        JointFacts {
+            rms: both(before.rms, self.rms),
+            unmodelled: both(before.unmodelled, self.unmodelled),
+            lack_of_fit: both(before.lack_of_fit, self.lack_of_fit),
+            ..self
+        }
+    }
+
     /// [`JointFacts::lacking`] of the model without the effects.
     pub fn lacking_before(&self) -> bool {
         JointFacts::lacking(self.lack_of_fit.before, self.unmodelled.before, self.threshold)

@@ -1,10 +1,11 @@
 //! What differs from period to period, put into simulated recordings by hand: drifts, a base that moves, contacts, single samples.
 
 use nalgebra::{DMatrix, DVector, Vector3};
-use plumbline_diagnose::Trial;
-use plumbline_diagnose::changing::{Changing, Course, Drifting, changing};
+use plumbline_diagnose::changing::{Changing, Course, Drifting, Shared, changing, cleaned, until_the_end};
+use plumbline_diagnose::{Fitted, Input, Trial, diagnose};
 use plumbline_excite::PeriodicMotion;
 use plumbline_identify::signal::spectral::Spectral;
+use plumbline_identify::solve::Options;
 use plumbline_identify::{ExcludedSpan, Experiment, Run, Settings};
 use plumbline_model::term::effect::{OperatingPoint, Site};
 use plumbline_model::{Chain, Placement, Reduction, Robot, Structure, rnea};
@@ -117,7 +118,7 @@ fn an_offset_that_drifts_is_found_within_its_deviation() {
     assert_eq!(found.drifts.len(), 1, "{:?}", found.drifts);
     let drift = &found.drifts[0];
     assert_eq!((drift.what, drift.course), (Drifting::Offset(3), Course::Linear), "{drift:?}");
-    assert!(drift.common && drift.score > 0.0);
+    assert!(drift.shared == Shared::Parameters && drift.score > 0.0);
     let error = drift.values[0][0] - 0.2;
     assert!(error.abs() < 3.0 * drift.std[0][0] && drift.std[0][0] < 0.02, "{drift:?}");
     assert!(found.contacts.is_empty() && found.transients.is_empty() && found.base_motions.is_empty(), "{found:?}");
@@ -148,11 +149,61 @@ fn friction_that_falls_as_the_arm_warms_is_found_with_its_time() {
     let of_all = found(&all);
     assert_eq!(of_all.drifts.len(), 1, "{:?}", of_all.drifts);
     let drift = &of_all.drifts[0];
-    assert_eq!((drift.what, drift.common), (Drifting::AllFriction, true), "{drift:?}");
+    assert_eq!((drift.what, drift.shared), (Drifting::AllFriction, Shared::Parameters), "{drift:?}");
     assert!((drift.values[0][0] + 0.4).abs() < 0.1, "{drift:?}");
     // The first period is far from the others, and yet nothing happened in it.
     assert!(of_all.contacts.is_empty() && of_all.transients.is_empty() && of_all.leave_out.is_empty(), "{of_all:?}");
     assert!(of_one.contacts.is_empty() && of_one.transients.is_empty() && of_one.leave_out.is_empty(), "{of_one:?}");
+}
+
+/// An arm that warms up through two runs with a pause: one drift with one time constant, and without it nothing is left to explain.
+#[test]
+fn a_joint_that_warms_up_from_run_to_run_has_one_drift() {
+    let stage = stage();
+    // The second run begins 15 s after the end of the first.
+    let starts = [0.0, 75.0];
+    let (mut run, mut last) = (0, 0.0);
+    let runs = recorded_periods(2, 6, 5, |at, tau| {
+        run += usize::from(at.t < last);
+        last = at.t;
+        let course = 1.0 - (-(starts[run] + at.t) / 100.0).exp();
+        tau[1] += course * (-0.25 * (100.0 * at.dq[1]).tanh() - 0.2 * at.dq[1]);
+    });
+    fn trials(experiments: &[Experiment], starts: [f64; 2]) -> Vec<Trial<'_>> {
+        experiments.iter().zip(starts).map(|(experiment, start)| Trial { experiment, session: 1, start }).collect()
+    }
+    let mut experiments = prepared(&runs, &kept());
+    let found = changing(&stage.operating_point, &trials(&experiments, starts));
+    let torques = until_the_end(&found, &stage.operating_point, &trials(&experiments, starts)).unwrap();
+    assert_eq!(found.drifts.len(), 1, "{:?}", found.drifts);
+    let drift = &found.drifts[0];
+    assert_eq!((drift.what, drift.shared, drift.values.len()), (Drifting::Friction(1), Shared::Course, 1), "{drift:?}");
+    let Course::Saturating { time } = drift.course else { panic!("{drift:?}") };
+    assert!((70.0..140.0).contains(&time), "{drift:?}");
+    for (value, truth) in drift.values[0].iter().zip([-0.25, -0.2]) {
+        assert!((value - truth).abs() < 0.25 * truth.abs(), "{drift:?}");
+    }
+
+    cleaned(&mut experiments, &found);
+    experiments.iter_mut().zip(torques).for_each(|(experiment, torque)| experiment.take_off_drift(torque));
+    let identify = trials(&experiments, starts);
+    let reduction = Reduction::any_mounting(&stage.chain);
+    let structure = Structure::of(stage.chain.clone(), reduction, &["friction"]).unwrap();
+    let options = Options::default();
+    let input =
+        Input { structure: &structure, identify: &identify, veto: &[], judge: &[], options: &options, parts: &[] };
+    let outcome = diagnose(&input, &plumbline_diagnose::Settings::default(), &|_| {}).unwrap();
+    assert!(outcome.diagnosis.effects.is_empty() && outcome.residuals.is_empty(), "{:#?}", outcome.diagnosis.effects);
+    let unmodelled = outcome.diagnosis.joints[1].unmodelled;
+    assert!(unmodelled.before.unwrap() > 4.0 * unmodelled.after.unwrap(), "{unmodelled:?}");
+    // The friction at the end, colder in the model of the runs as they were recorded.
+    let friction = |fitted: &Fitted| {
+        let at = fitted.structure.columns().iter().position(|column| column.name == "fc2").unwrap();
+        fitted.identification.beta[at] - stage.friction[1][1]
+    };
+    let end = -0.25 * (1.0 - f64::exp(-135.0 / 100.0));
+    assert!((friction(&outcome.after) - end).abs() < 0.02, "{} for {end}", friction(&outcome.after));
+    assert!(friction(&outcome.before) > end + 0.03, "{} for {end}", friction(&outcome.before));
 }
 
 #[test]
