@@ -81,7 +81,9 @@ pub(super) fn counts(base: &Base) -> String {
 fn round_text(round: &Round) -> String {
     let found = if round.found.is_empty() { String::new() } else { format!(": {}", round.found.join(", ")) };
     let open: String = round.open.iter().map(|open| format!("; open: {}", diagnosis::open_question(open))).collect();
-    format!("{}{found}{open}", round.verdict)
+    let errors = round.validate_rms.iter().map(|rms| format!("{rms:.3}")).collect::<Vec<_>>().join(" ");
+    let errors = if errors.is_empty() { String::new() } else { format!("; RMS on unseen runs [Nm]: {errors}") };
+    format!("{}{found}{errors}{open}", round.verdict)
 }
 
 /// Smallest use of each joint's range and speed over all motions.

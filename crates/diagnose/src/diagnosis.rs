@@ -16,8 +16,8 @@ use super::gates;
 use super::library::{Candidate, library, repeatable};
 use super::open::{OpenQuestions, Question};
 use super::outcome::{
-    self, Action, BeforeAfter, Confirmation, Diagnosis, Disagreement, Effect, Fitted, JointFacts, Outcome, Parameters,
-    Quantity, Score, Verdict,
+    self, Action, Acts, BeforeAfter, Confirmation, Diagnosis, Disagreement, Effect, Fitted, JointFacts, Outcome,
+    Parameters, Quantity, Score, Verdict,
 };
 use super::parts::{self, Named};
 use super::reference;
@@ -169,7 +169,7 @@ pub fn diagnose(input: &Input, settings: &Settings, progress: &dyn Fn(&Step)) ->
         minimum_detectable: detectable::minimum(&search, &independences),
         not_identifiable: detectable::not_identifiable(&independences),
         path: steps("the plain model", &joints, &selected.path),
-        scores: scores(&selected, &effects),
+        scores: scores(&selected, &effects, input.identify),
         notes: notes(&evidence, input, &effects, &different, &undetermined),
         effects,
         joints,
@@ -253,18 +253,23 @@ pub(super) fn steps(from: &str, joints: &[JointFacts], path: &[Step]) -> Vec<out
 }
 
 /// The best candidates for the plain model.
-fn scores(selected: &Selected, effects: &[Effect]) -> Vec<Score> {
+fn scores(selected: &Selected, effects: &[Effect], trials: &[Trial]) -> Vec<Score> {
     let joints = |spec: &Spec| outcome::joints(spec.site);
-    let chosen = |spec: &Spec| effects.iter().any(|own| own.id == spec.family && own.joints == joints(spec));
+    // What begins at about the same time is the same.
+    let begin = |acts: &Option<Acts>| acts.as_ref().map(|acts| acts.run.clone());
+    let chosen = |spec: &Spec, acts: &Option<Acts>| {
+        let same =
+            |own: &Effect| own.id == spec.family && own.joints == joints(spec) && begin(&own.acts) == begin(acts);
+        effects.iter().any(same)
+    };
     let rival = |spec: &Spec| {
         let mut rivals = effects.iter().flat_map(|own| &own.alternatives_detail);
         rivals.any(|rival| rival.id == spec.family && rival.joints == joints(spec))
     };
-    let score = |one: &Scored| Score {
-        label: one.item.spec.to_string(),
-        score: one.score,
-        chosen: chosen(&one.item.spec),
-        equivalent: rival(&one.item.spec),
+    let score = |one: &Scored| {
+        let (spec, acts) = (&one.item.spec, acting::acts(one.item.span, trials));
+        let label = acts.as_ref().map_or(spec.to_string(), |acts| format!("{spec} {acts}"));
+        Score { label, score: one.score, chosen: chosen(spec, &acts), equivalent: acts.is_none() && rival(spec) }
     };
     selected.first.iter().take(MAX_LISTED_SCORES).map(score).collect()
 }

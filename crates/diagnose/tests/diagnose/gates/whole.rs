@@ -53,6 +53,11 @@ fn what_came_in_a_later_trajectory_acts_until_the_runs_that_do_not_have_it() {
         let [effect] = &outcome.diagnosis.effects[..] else { panic!("{:?}", outcome.diagnosis.effects) };
         let acts = effect.acts.as_ref().unwrap_or_else(|| panic!("{effect:?}"));
         assert_eq!((effect.id.as_str(), acts.run.as_str(), acts.from), ("torque-offset", "trajectory 3", 0.0));
+        // The same effect in the whole recording is another candidate.
+        let chosen: Vec<&str> =
+            outcome.diagnosis.scores.iter().filter(|one| one.chosen).map(|one| one.label.as_str()).collect();
+        let labels: Vec<&str> = outcome.diagnosis.scores.iter().map(|one| one.label.as_str()).collect();
+        assert_eq!(chosen, ["torque-offset in joint 2 since trajectory 3"], "{labels:?}");
         assert_eq!((acts.to_end_of_recording, effect.in_model), (still_there, false));
         assert!(outcome.diagnosis.disagreements.is_empty(), "{:?}", outcome.diagnosis.disagreements);
     }
