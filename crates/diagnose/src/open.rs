@@ -34,6 +34,8 @@ use std::ops::Range;
 const MAX_RIVALS: usize = 2;
 /// Expected score difference of a decided pair: twice the largest one of rivals.
 const DECIDED_SCORE_GAP: f64 = 2.0 * MAX_RIVAL_SCORE_GAP;
+/// Smallest expected score difference that is not zero.
+const MIN_SCORE_GAP: f64 = 1e-3;
 /// Half width of a 95 % interval in standard deviations.
 const INTERVAL_DEVIATIONS: f64 = 1.96;
 /// Weight of what a motion answers beyond what was asked.
@@ -305,7 +307,8 @@ impl OpenQuestions {
             (_, Place::Rivals { effect, rival }) => {
                 let [one, other] =
                     [(effect, rival), (rival, effect)].map(|(a, b)| self.distance(together, total, a, b));
-                let expected = one.min(other);
+                // Rounding is no answer.
+                let expected = if one.min(other) > MIN_SCORE_GAP { one.min(other) } else { 0.0 };
                 Answer { expected, share: expected / DECIDED_SCORE_GAP }
             }
             (Question::Interval { half_width, wanted, .. }, Place::Interval { column }) => {
