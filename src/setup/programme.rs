@@ -152,14 +152,15 @@ impl Programme {
 pub fn plan_or_load(job: &Job, robot: &Robot, out: &Path, arm: Option<&ArmLimits>) -> Result<Programme, Failure> {
     let dir = out.join("plans");
     let planner = Planner::of(job, robot, arm)?;
-    let limits = arm.map(toml::to_string).transpose().map_err(Failure::job)?;
-    crate::atomic::write_result(&dir.join(ARM_LIMITS), limits.unwrap_or_default().as_bytes())?;
     let stamp = planner.fingerprint();
     let stamp_file = dir.join("planned-for");
     if std::fs::read_to_string(&stamp_file).is_ok_and(|text| text.trim() == stamp) {
         let known = Programme::load(job, &dir)?;
         match known.check(&planner, &dir) {
-            Ok(()) => return Ok(known),
+            Ok(()) => {
+                save_arm_limits(&dir, arm)?;
+                return Ok(known);
+            }
             Err(broken) => tracing::warn!("the plans in {} are not driven, new ones are made: {broken}", dir.display()),
         }
     }
@@ -167,12 +168,18 @@ pub fn plan_or_load(job: &Job, robot: &Robot, out: &Path, arm: Option<&ArmLimits
     let programme = Programme::plan(&planner, &|name, share| bar.at(share, name))?;
     bar.done();
     programme.save(&dir)?;
+    save_arm_limits(&dir, arm)?;
     crate::atomic::write_file(&stamp_file, stamp.as_bytes()).map_err(Failure::job)?;
     Ok(programme)
 }
 
 /// File with the limits of the connected arm, beside the plans that were made under them; empty where the arm has none.
 const ARM_LIMITS: &str = "arm-limits.toml";
+
+fn save_arm_limits(dir: &Path, arm: Option<&ArmLimits>) -> Result<(), Failure> {
+    let limits = arm.map(toml::to_string).transpose().map_err(Failure::job)?;
+    crate::atomic::write_result(&dir.join(ARM_LIMITS), limits.unwrap_or_default().as_bytes())
+}
 
 /// The limits of the arm that the plans of `out` were made for.
 pub fn arm_limits(out: &Path) -> Result<Option<ArmLimits>, Failure> {

@@ -366,7 +366,9 @@ impl Session {
         }
     }
 
-    fn open_gate(&self) {
+    /// Lets simulated time go on, also where it had been paused for the watch: it is paused again where that is still behind.
+    fn open_gate(&mut self) {
+        self.paused = false;
         self.gate.iter().for_each(|gate| gate.open());
     }
 
