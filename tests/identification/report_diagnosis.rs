@@ -226,7 +226,11 @@ fn one_effect_is_in_the_first_line() {
         lines[0],
         "diagnosis: presliding in joint 4 (delta 2.14 +- 0.10 mrad, fp4 0.160 +- 0.012 Nm), confirmed in 4 of 4 trajectories"
     );
-    assert_eq!(lines[1], "error on unseen runs, worst joint (4): 0.320 -> 0.150 Nm (noise floor 0.149)");
+    assert_eq!(
+        lines[1],
+        "error on unseen runs, worst joint (4): 0.320 -> 0.150 Nm (noise floor 0.149); unmodelled torque of the mean period 0.280 -> \
+         0.004 Nm"
+    );
     assert!(lines[2].starts_with("RMS before [Nm]: 0.150 [0.147 0.153]  0.151 "), "{}", lines[2]);
     assert!(lines[3].starts_with("RMS after [Nm]: 0.152 [0.148 0.155]  "), "{}", lines[3]);
     assert!(
@@ -235,6 +239,9 @@ fn one_effect_is_in_the_first_line() {
         lines[4]
     );
     assert_eq!(lines.len(), 5);
+    let mut without_repeats = diagnosed();
+    without_repeats.joints[3].floor_of_mean = None;
+    assert!(!summary_of(without_repeats)[1].contains("unmodelled"));
     let mut filtered = diagnosed();
     filtered.band = Band::Filtered { cutoff: 4.0 };
     let lines = summary_of(filtered);

@@ -6,6 +6,7 @@ mod changing_command;
 mod compare_command;
 mod config_job;
 mod dead_channels;
+mod demonstrations;
 mod doctor;
 mod effects_command;
 mod estimate_cli;

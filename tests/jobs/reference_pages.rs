@@ -6,6 +6,7 @@ use plumbline::config::job::Job;
 use plumbline_ipc::{FeedForwardMessage, SampleMessage};
 use plumbline_model::Robot;
 use plumbline_model::term::effect::{self, FAMILIES, Stratum};
+use plumbline_sim::Truth;
 use plumbline_testkit::job::{Done, plumbline};
 use plumbline_testkit::page;
 use std::mem::{offset_of, size_of};
@@ -155,7 +156,7 @@ fn assert_names_every_key(what: &str, block: &str, mut refusal: impl FnMut(&str)
 #[test]
 fn the_job_file_shows_every_key_and_its_default() {
     let text = page::read("docs/reference/job-file.md");
-    let [all, franka, inclinometer]: [String; 3] = toml_blocks(&text).try_into().unwrap();
+    let [all, franka, inclinometer, _]: [String; 4] = toml_blocks(&text).try_into().unwrap();
     let upright = "robot = \"panda\"\nmounting = \"upright\"\nvalidation = { mountings = [\"upright\"] }\n";
     let of_franka = format!("{upright}backend.kind = \"franka\"\n");
     let of_sensor = format!("{upright}backend = {{ kind = \"sim\", arm = \"sim-panda\", pace = \"wall-clock\" }}\n");
@@ -182,6 +183,23 @@ fn the_job_file_shows_every_key_and_its_default() {
             Some(parse(&format!("{head}{text}")).expect_err("an unknown key is refused").to_string())
         });
     }
+}
+
+#[test]
+fn the_arm_file_shows_every_key_and_its_default() {
+    let block = toml_blocks(&page::read("docs/reference/job-file.md")).swap_remove(3);
+    // A base is found beside the file.
+    let file = plumbline_testkit::path("config/arms/own.toml").display().to_string();
+    let parse = |text: &str| Truth::parse(&file, text);
+    let least = "robot = 'panda'
+        link = [{ mass = 3.0, com = [0.0, 0.0, 0.1], inertia = [0.03, 0.0, 0.0, 0.03, 0.0, 0.02] }]
+        joint = [{ stiffness = 3000.0, damping = 100.0 }]
+        effect = [{ id = 'spring', joint = 1 }]";
+    assert_eq!(parse(&block).unwrap(), parse(least).unwrap(), "docs/reference/job-file.md: shown and default");
+    parse(&with_options(&block)).unwrap();
+    assert_names_every_key("docs/reference/job-file.md", &block, |text| {
+        Some(parse(text).expect_err("an unknown key is refused").to_string())
+    });
 }
 
 #[test]

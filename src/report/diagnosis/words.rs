@@ -47,6 +47,9 @@ fn findings(of: &Diagnosis) -> Vec<String> {
 pub(super) fn left(effect: &Effect) -> Option<&'static str> {
     match (effect.in_model, effect.stratum) {
         (true, _) => None,
+        (false, Stratum::Changing) if effect.acts.is_some() => {
+            Some("not in the model, which is that of the arm at the recording's end")
+        }
         (false, _) if effect.acts.is_some() => Some("not in the model, which is that of the arm without it"),
         // The model is one of what repeats: nobody has weighed whether to add it.
         (false, Stratum::Changing) => Some("not in the model"),
@@ -282,7 +285,7 @@ fn errors(of: &Diagnosis, lines: &mut Vec<String>) {
     }
 }
 
-/// The worst joint's error on unseen runs.
+/// The worst joint's error on unseen runs, and what its mean period lacks.
 pub(super) fn error(of: &Diagnosis) -> Option<String> {
     let (before, after) = (&of.before, &of.after);
     let worst = worst(of, before)?;
@@ -304,7 +307,15 @@ pub(super) fn error(of: &Diagnosis) -> Option<String> {
     let next = self::worst(of, after).filter(|next| apart(*next));
     let next =
         next.map_or(String::new(), |j| format!("; worst now ({}): {}{}", j + 1, fixed(after.validate_rms[j]), with(j)));
-    Some(format!("{start} ({}): {figure} -> {} Nm{}{next}", worst + 1, fixed(now), with(worst)))
+    let lacks = unmodelled(of, worst).unwrap_or_default();
+    Some(format!("{start} ({}): {figure} -> {} Nm{}{lacks}{next}", worst + 1, fixed(now), with(worst)))
+}
+
+/// What repeats in a joint and is not noise, before and after; `None` where the noise of the mean period is unknown.
+fn unmodelled(of: &Diagnosis, joint: usize) -> Option<String> {
+    let facts = of.joints.get(joint).filter(|facts| facts.floor_of_mean.is_some())?;
+    let (before, after) = (facts.unmodelled.before?, facts.unmodelled.after?);
+    Some(format!("; unmodelled torque of the mean period {} -> {} Nm", fixed(before), fixed(after)))
 }
 
 /// Whether the delivered model has effects that the one before had not, or was identified without what acts in a part of the recording.
