@@ -4,6 +4,7 @@ use super::onset::Onset;
 use super::*;
 use serde::de::Error;
 use serde::{Deserialize, Deserializer};
+use std::cmp::Ordering;
 
 /// The catalogue: an enum to deserialise, its ids, and the module of each effect.
 macro_rules! catalogue {
@@ -118,7 +119,7 @@ impl EffectSpec {
     pub(crate) fn check(&self, file: &str, name: &str, truth: &Truth) -> Result<(), BadInput> {
         let place = Place { file, name, truth, from: self.from };
         place.range("from", self.from, 0.0, 1e9)?;
-        if !(self.until > self.from) {
+        if self.until.partial_cmp(&self.from) != Some(Ordering::Greater) {
             return Err(place.wrong("until", self.until, "a time after `from` [s]"));
         }
         self.kind.spec().check(&place)
