@@ -12,11 +12,12 @@ fn codes_of_phase_and_validity_read_back_and_others_are_none() {
     for phase in phases {
         assert_eq!(Phase::from_u32(phase as u32), Some(phase));
     }
-    for validity in [Validity::None, Validity::Valid, Validity::HandOver, Validity::Withdrawn] {
+    use Validity::{Doubtful, HandOver, None as NoModel, Valid, Withdrawn};
+    for validity in [NoModel, Valid, HandOver, Withdrawn, Doubtful] {
         assert_eq!(Validity::from_u32(validity as u32), Some(validity));
-        assert_eq!(validity.is_served(), matches!(validity, Validity::Valid | Validity::HandOver));
+        assert_eq!(validity.is_served(), matches!(validity, Valid | HandOver | Doubtful));
     }
-    assert_eq!((Phase::from_u32(6), Validity::from_u32(4)), (None, None));
+    assert_eq!((Phase::from_u32(6), Validity::from_u32(5)), (None, None));
 }
 
 /// `dq <= min(dq_max, max(0, sqrt(2 dec room) - offset))`, and its slope against a difference quotient.
