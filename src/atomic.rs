@@ -31,6 +31,14 @@ pub fn write_result(path: &Path, bytes: &[u8]) -> Result<(), Failure> {
     write_file(path, bytes).map_err(Failure::job)
 }
 
+/// Removes a file; one that is not there is no error.
+pub fn remove_file(path: &Path) -> io::Result<()> {
+    match fs::remove_file(path) {
+        Err(error) if error.kind() != io::ErrorKind::NotFound => Err(with_path(path, error)),
+        _ => Ok(()),
+    }
+}
+
 /// Fills a temporary folder with `fill`, flushes its files, and replaces folder `path` with it.
 ///
 /// If `fill` fails, `path` is unchanged and the temporary folder is removed. The caller checks that an old folder at `path` may be

@@ -116,7 +116,7 @@ impl Tally<'_> {
                 row[0] += 1;
                 match judged.verdict {
                     Verdict::Unexplained | Verdict::Partly => row[1] += 1,
-                    Verdict::NothingSignificant => row[2] += 1,
+                    Verdict::NothingSignificant | Verdict::NotDetermined => row[2] += 1,
                     Verdict::Diagnosed | Verdict::Ambiguous => row[3] += 1,
                 }
                 let Some(found) = &judged.fallback else { continue };

@@ -119,11 +119,12 @@ def score(report, truth):
     floor = d.get("noise_floor") or []
     unexplained = [u["joint"] for u in d["unexplained"]]
     if truth["clean"] or not truth["effects"]:
-        kind = "clean: quiet" if verdict == "nothing-significant" and not effects else "clean: alarm"
+        quiet = verdict in ("nothing-significant", "not-determined") and not effects
+        kind = "clean: quiet" if quiet else "clean: alarm"
     elif outside and not wanted:
         kind = "outside: unexplained" if verdict in ("unexplained", "partly") and not false else "outside: named" if false else "outside: silent"
     elif not wanted:
-        kind = "below: right" if found and not false else "below: quiet" if not effects and verdict == "nothing-significant" else "below: alarm"
+        kind = "below: right" if found and not false else "below: quiet" if not effects and verdict in ("nothing-significant", "not-determined") else "below: alarm"
     elif not missed:
         kind = "right" if not false and (verdict in ("diagnosed", "ambiguous") or outside) else "right, beside"
     else:

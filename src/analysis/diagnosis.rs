@@ -10,7 +10,7 @@ use plumbline_diagnose::errors::Of;
 use plumbline_diagnose::figures::Curves;
 use plumbline_diagnose::outcome::Changes;
 use plumbline_diagnose::reference::{self, Stored};
-use plumbline_diagnose::{Diagnosis, Effect, Input, Trial, Verdict, diagnose};
+use plumbline_diagnose::{Diagnosis, Effect, Input, OpenQuestions, Trial, Verdict, diagnose};
 use plumbline_identify::solve::{self, ols, stack::Stack};
 use plumbline_identify::{Experiment, Settings};
 use plumbline_model::term::Motion;
@@ -33,6 +33,7 @@ pub struct Diagnosed {
     pub after: Identified,
     pub block: Diagnosis,
     pub figures: Curves,
+    pub open: OpenQuestions,
 }
 
 /// Diagnoses runs of one arm, with a progress bar.
@@ -69,7 +70,7 @@ pub fn run(question: &Question) -> Result<Diagnosed, Failure> {
     block.notes.extend(notes);
     variation.add_to(&mut block, question.diagnosis.least_floor, question.diagnosis.threshold);
     question.name_disagreements(&after.model, &mut block)?;
-    Ok(Diagnosed { after, block, figures: outcome.curves })
+    Ok(Diagnosed { after, block, figures: outcome.curves, open: outcome.open })
 }
 
 impl Question<'_> {

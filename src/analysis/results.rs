@@ -2,21 +2,23 @@
 
 use crate::analysis::collector::Recorded;
 use crate::analysis::diagnosis::{self, Diagnosed, Question};
+use crate::analysis::next;
 use crate::analysis::pipeline::{self, Identified, Judged};
 use crate::config::job::{Diagnosis, Job};
 use crate::dataset::columns::SERVED_TORQUES;
-use crate::dataset::{Dataset, Run};
+use crate::dataset::{self, Dataset, Run};
 use crate::failure::Failure;
 use crate::report::figures::{Figures, PlanFigure};
 use crate::report::{
     Base, Consistency, CounterExperiment, EstimatorFacts, Fit, GravityReport, Identifiability, IpcReport, LoopReport,
-    MotionUsage, Report, Validation,
+    MotionUsage, Report, Round, Validation,
 };
-use crate::setup::programme::{Motion, Programme, Role};
-use crate::store::{ModelFile, Provenance, Validated, uncertainty_of};
+use crate::setup::planner::Planner;
+use crate::setup::programme::{Motion, Programme, Role, arm_limits, is_reached};
+use crate::store::{ModelFile, Provenance, Validated, save_plan, uncertainty_of};
 use plumbline_core::threads;
 use plumbline_diagnose::errors::Of;
-use plumbline_excite::PlanUsage;
+use plumbline_excite::{Fourier, PlanUsage, Search};
 use plumbline_identify::Settings;
 use plumbline_identify::solve::Outcome;
 use plumbline_ipc::{Status, StreamCounters};
@@ -39,6 +41,8 @@ pub struct Results {
     clock: Option<f64>,
     model: Option<Identified>,
     notes: Vec<String>,
+    /// The rounds before this one.
+    rounds: Vec<Round>,
 }
 
 impl Results {
@@ -54,7 +58,24 @@ impl Results {
             clock: None,
             model: None,
             notes: Vec::new(),
+            rounds: Vec::new(),
         }
+    }
+
+    /// Goes on from the results of the round before: its runs are identified from and judged by, too.
+    pub fn go_on_from(&mut self, dir: &Path) -> Result<(), Failure> {
+        let report = Report::read(dir)?;
+        let diagnosis = report.diagnosis.unwrap_or_default();
+        self.rounds = report.rounds;
+        self.rounds.push(Round::of(&diagnosis));
+        for run in Dataset::read(&dir.join("dataset"))?.runs {
+            let role = match run.role {
+                dataset::Role::Identify => Role::Identify,
+                dataset::Role::Validate => Role::Validate,
+            };
+            self.recorded.push(Recorded { number: 0, role, run, complete: true });
+        }
+        Ok(())
     }
 
     pub fn joints(&self) -> usize {
@@ -72,9 +93,13 @@ impl Results {
     }
 
     pub fn take(&mut self, mut recorded: Recorded) {
-        // A daemon that was started again may have another clock.
+        if !self.rounds.is_empty() {
+            let name = recorded.run.data.name.trim_end_matches(".csv");
+            recorded.run.data.name = format!("{name}-round-{}.csv", self.rounds.len() + 1);
+        }
+        // A daemon that was started again may have another clock, as that of a further round has.
         let end = self.recorded.last().map_or(0.0, |last| last.run.end());
-        let first = *self.clock.get_or_insert(recorded.run.start);
+        let first = *self.clock.get_or_insert(recorded.run.start - end);
         recorded.run.start = f64::max(recorded.run.start - first, end);
         tracing::info!("{} was recorded: {} samples", recorded.run.data.name, recorded.run.samples());
         self.recorded.push(recorded);
@@ -106,7 +131,10 @@ impl Results {
         };
         let dataset = self.dataset();
         let plain = identified;
-        let diagnosed = self.diagnose(&plain)?;
+        let mut diagnosed = self.diagnose(&plain)?;
+        if let Some(diagnosed) = &mut diagnosed {
+            self.plan_next(diagnosed)?;
+        }
         // From here on the model contains the accepted effects.
         let identified = diagnosed.as_ref().map_or(&plain, |diagnosed| &diagnosed.after);
         let judged = pipeline::judge_all(&identified.model, &self.runs(Role::Validate), &self.settings)?;
@@ -139,6 +167,7 @@ impl Results {
             GravityReport::new(gravity, self.job.mounting, runs)
         });
         report.motions = self.motions.clone();
+        report.rounds = self.rounds.clone();
         report.control_loop = Some(LoopReport::new(status, !self.job.backend.is_fast()));
         report.ipc = Some(IpcReport { sent, counters: *counters });
         report.notes.extend(self.notes.iter().cloned());
@@ -158,10 +187,11 @@ impl Results {
         let (identify, unseen) = (self.runs(Role::Identify), self.runs(Role::Validate));
         let unseen: Vec<&Run> =
             unseen.into_iter().filter(|run| identified.model.valid_in(&run.data.mounting).is_ok()).collect();
-        let Diagnosis { band, threshold, .. } = self.job.diagnosis;
+        let Diagnosis { band, threshold, until, .. } = self.job.diagnosis;
         let settings = plumbline_diagnose::Settings {
             band,
             threshold,
+            until,
             threads: threads(),
             ..plumbline_diagnose::Settings::default()
         };
@@ -176,6 +206,27 @@ impl Results {
             of: Of::Raw,
         };
         diagnosis::run(&question).map(Some)
+    }
+
+    /// Writes the plan of the next round, where there is to be one and something is left open.
+    fn plan_next(&self, diagnosed: &mut Diagnosed) -> Result<(), Failure> {
+        if self.job.diagnosis.rounds == 0 || diagnosed.open.questions().len() == 0 {
+            return Ok(());
+        }
+        let arm = arm_limits(&self.out)?;
+        let planner = Planner::of(&self.job, &self.robot, arm.as_ref())?;
+        let usable = |fourier: &Fourier| is_reached(&planner, &fourier.q0);
+        let (plan, questions) = planner.next(&self.job.mounting, |problem, search| {
+            let search = Search { starts: next::STARTS, rounds: next::ROUNDS, ..search.clone() };
+            next::next(&diagnosed.open, problem, &search, self.job.excitation.periods, &usable, &|| false)
+        })?;
+        diagnosed.block.open = questions;
+        let Some(plan) = plan else {
+            let note = "no motion within the limits of this job is expected to answer what is open; no further round is driven";
+            diagnosed.block.notes.push(note.into());
+            return Ok(());
+        };
+        save_plan(&plan, &self.out.join(next::FILE)).map_err(Failure::job)
     }
 
     fn runs(&self, role: Role) -> Vec<&Run> {

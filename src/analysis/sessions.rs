@@ -82,7 +82,7 @@ impl Reference<'_> {
             *of = format!("session {session}");
             effects.clone_from(&own.effects);
         }
-        if !own.effects.is_empty() && block.verdict == Verdict::NothingSignificant {
+        if !own.effects.is_empty() && matches!(block.verdict, Verdict::NothingSignificant | Verdict::NotDetermined) {
             block.verdict = own.verdict;
         }
         block.effects.append(&mut own.effects);

@@ -9,7 +9,9 @@ use crate::failure::Failure;
 use clap::Args;
 use plumbline_core::{BadInput, threads};
 use plumbline_diagnose::errors::Of;
-use plumbline_model::Robot;
+use plumbline_diagnose::{Diagnosis, OpenQuestions};
+use plumbline_model::{Mounting, Robot};
+use std::path::Path;
 
 /// Options of `plumbline diagnose`.
 #[derive(Args)]
@@ -23,10 +25,28 @@ pub struct Options {
     /// Detection threshold in Nm: smallest torque RMS of an effect; by default 0.7 of the noise of the mean period
     #[arg(long, value_name = "NM")]
     threshold: Option<f64>,
+    /// Wanted half width of the 95 % intervals of effects' parameters, as a share of their values; a wider one is left open
+    #[arg(long, value_name = "SHARE")]
+    until: Option<f64>,
+}
+
+impl Options {
+    /// Folder of the results.
+    pub(super) fn out(&self) -> &Path {
+        &self.identify.out
+    }
 }
 
 /// Searches for effects in recorded runs and writes the results.
 pub fn run(options: Options) -> Result<(), Failure> {
+    diagnosed(&options, |_, _, _, _| Ok(()))
+}
+
+/// The same; `plan` looks at what is left open, and may add to the report, before anything is written.
+pub(super) fn diagnosed(
+    options: &Options,
+    plan: impl FnOnce(&OpenQuestions, &mut Diagnosis, &Robot, Mounting) -> Result<(), Failure>,
+) -> Result<(), Failure> {
     let given = &options.identify;
     let mut dataset = Dataset::read(&given.dataset)?;
     let robot = Robot::load(&dataset.robot, Some(&given.dataset))?;
@@ -48,7 +68,7 @@ pub fn run(options: Options) -> Result<(), Failure> {
         .iter()
         .partition(|run| !along_axis_1 || run.data.mounting.is_along_axis_1(plumbline_model::VERTICAL_TOLERANCE));
     let repeats = identify.iter().all(|run| run.data.period.is_some());
-    let diagnosis = diagnosis_settings(&options, repeats)?;
+    let diagnosis = diagnosis_settings(options, repeats)?;
     let question = Question {
         robot: &robot,
         structure: &structure,
@@ -59,7 +79,8 @@ pub fn run(options: Options) -> Result<(), Failure> {
         diagnosis: &diagnosis,
         of: Of::Filtered,
     };
-    let Diagnosed { after, mut block, figures: drawn } = diagnosis::run(&question)?;
+    let Diagnosed { after, mut block, figures: drawn, open } = diagnosis::run(&question)?;
+    plan(&open, &mut block, &robot, dataset.mounting)?;
     let reference = sessions::Reference {
         robot: &robot,
         model: &after.model,
@@ -98,7 +119,10 @@ fn diagnosis_settings(options: &Options, repeats: bool) -> Result<plumbline_diag
     if let Some(threshold) = options.threshold.filter(|threshold| !(threshold.is_finite() && *threshold > 0.0)) {
         return Err(BadInput::new("command line", "--threshold", threshold, "a torque in Nm, more than 0").into());
     }
-    Ok(plumbline_diagnose::Settings { band, threshold: options.threshold, ..plain })
+    if let Some(until) = options.until.filter(|until| !(1e-4..=1.0).contains(until)) {
+        return Err(BadInput::new("command line", "--until", until, "a share of the values, 0.0001 to 1").into());
+    }
+    Ok(plumbline_diagnose::Settings { band, threshold: options.threshold, until: options.until, ..plain })
 }
 
 /// Highest analysed frequency of non-periodic motions \[Hz\]: above it their accelerations are noise.

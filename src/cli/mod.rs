@@ -8,6 +8,7 @@ mod effects;
 mod export;
 mod identify;
 mod inclinometer;
+mod next;
 mod plan;
 mod postmortem;
 mod predict;
@@ -72,6 +73,8 @@ subcommands! {
     Compare => compare,
     /// Find effects that a plain model of recorded data lacks, offline
     Diagnose => diagnose,
+    /// Diagnose recorded data and plan the motion that would answer what is left open
+    Next => next,
     /// Compute the torques of a model along a recorded motion
     Predict => predict,
     /// Write the identified arm as URDF, MuJoCo model or C function

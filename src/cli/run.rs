@@ -1,5 +1,6 @@
 //! `plumbline run`: daemon, estimator and report on one machine, without systemd.
 
+use crate::analysis::next;
 use crate::cli::say::say;
 use crate::failure::Failure;
 use crate::process::signals::Ending;
@@ -10,6 +11,7 @@ use clap::Args;
 use plumbline_ipc::{Client, Progress, Request, Response, RobotId, Status};
 use rustix::process::{Pid, Signal, kill_process};
 use std::ffi::OsStr;
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Stdio};
 use std::time::{Duration, Instant};
@@ -33,8 +35,63 @@ const POLL_INTERVAL: Duration = Duration::from_millis(100);
 /// Restarts of a killed estimator.
 const MAX_ESTIMATOR_RESTARTS: usize = 3;
 
-/// Plans, starts both processes, waits for the results and prints them.
-pub fn run(options: Options) -> Result<(), Failure> {
+/// Runs the job, and again with the motion that is planned for what its diagnosis leaves open; then prints the results.
+pub fn run(mut options: Options) -> Result<(), Failure> {
+    let (job, _, out) = options.job.load()?;
+    let plan = out.join(next::FILE);
+    let mut before: Option<PathBuf> = None;
+    for round in 1..=1 + job.diagnosis.rounds {
+        // That of an earlier job would be driven.
+        crate::atomic::remove_file(&plan).map_err(Failure::job)?;
+        one_round(&options, before.as_deref())?;
+        if !plan.exists() {
+            break;
+        }
+        let dir = out.join(format!("round-{round}"));
+        put_aside(&out, &dir)?;
+        say!("round {round}: {}", dir.join("report.html").display());
+        for line in Report::read(&dir)?.diagnosis_lines() {
+            say!("  {line}");
+        }
+        options.job.sets.extend(next_round(&dir, job.diagnosis.rounds - round)?);
+        before = Some(dir);
+    }
+    summarise(&out)
+}
+
+/// What a job of the next round has in the place of its own keys: the motion that was planned, and nothing else.
+fn next_round(dir: &Path, rounds: usize) -> Result<[String; 6], Failure> {
+    let plan = std::path::absolute(dir.join(next::FILE)).map_err(Failure::job)?;
+    Ok([
+        format!("excitation.plan={}", plan.display()),
+        "excitation.trajectories=1".into(),
+        "validation.trajectories=0".into(),
+        "validation.counter-experiment=false".into(),
+        "live.motion=0 s".into(),
+        format!("diagnosis.rounds={rounds}"),
+    ])
+}
+
+/// Moves the results of a round into a folder of their own, in the place of those of an earlier job.
+fn put_aside(out: &Path, dir: &Path) -> Result<(), Failure> {
+    let failed = |error: std::io::Error| Failure::job(format!("{}: {error}", dir.display()));
+    match std::fs::remove_dir_all(dir) {
+        Err(error) if error.kind() != ErrorKind::NotFound => return Err(failed(error)),
+        _ => std::fs::create_dir_all(dir).map_err(failed)?,
+    }
+    for entry in std::fs::read_dir(out).map_err(failed)? {
+        let name = entry.map_err(failed)?.file_name();
+        let text = name.to_string_lossy();
+        let named = ["report.json", "report.html", "dataset", "plans", next::FILE].contains(&&*text);
+        if named || (text.starts_with("model") && text.ends_with(".toml")) {
+            std::fs::rename(out.join(&name), dir.join(&name)).map_err(failed)?;
+        }
+    }
+    Ok(())
+}
+
+/// Plans, starts both processes and waits for the results. `before` holds those of the round before.
+fn one_round(options: &Options, before: Option<&Path>) -> Result<(), Failure> {
     let (job, robot, out) = options.job.load()?;
     let id = robot_id(&job)?;
     // The lock excludes another daemon for this robot during planning; the daemon below inherits it.
@@ -62,26 +119,44 @@ pub fn run(options: Options) -> Result<(), Failure> {
     }
     let mut daemon = Process::start("daemon", &options.job, &out, &more)?;
     drop(passed_on);
-    let outcome = drive(&id, &options.job, &out, &mut daemon, ticks as u64, &ending);
+    let results = EstimatorOptions { job: &options.job, out: &out, before };
+    let outcome = drive(&id, results, &mut daemon, ticks as u64, &ending);
     // The daemon ends with a controlled stop if the arm moves.
     let ended = daemon.end()?;
     outcome?;
     if !ended.success() {
         return Err(Failure::job(format!("the daemon failed: {ended}")));
     }
-    summarise(&out)
+    Ok(())
+}
+
+/// What an estimator of this job is started with.
+#[derive(Clone, Copy)]
+struct EstimatorOptions<'a> {
+    job: &'a JobOptions,
+    out: &'a Path,
+    before: Option<&'a Path>,
+}
+
+impl EstimatorOptions<'_> {
+    fn start(self) -> Result<Process, Failure> {
+        let mut more = vec![OsStr::new("--once")];
+        if let Some(before) = self.before {
+            more.extend([OsStr::new("--after"), before.as_os_str()]);
+        }
+        Process::start("estimator", self.job, self.out, &more)
+    }
 }
 
 fn drive(
     id: &RobotId,
-    job: &JobOptions,
-    out: &Path,
+    results: EstimatorOptions,
     daemon: &mut Process,
     ticks: u64,
     ending: &Ending,
 ) -> Result<(), Failure> {
     let mut client = await_daemon(id, daemon)?;
-    let mut estimator = Process::start("estimator", job, out, &[OsStr::new("--once")])?;
+    let mut estimator = results.start()?;
     let outcome = (|| {
         await_follower(&mut client, daemon, &mut estimator)?;
         start(&mut client, ending)?;
@@ -101,7 +176,7 @@ fn drive(
                 Some(ended) if ended.code().is_none() && restarts < MAX_ESTIMATOR_RESTARTS => {
                     restarts += 1;
                     tracing::warn!("the estimator was killed ({ended}); a new one continues with the daemon's samples");
-                    estimator = Process::start("estimator", job, out, &[OsStr::new("--once")])?;
+                    estimator = results.start()?;
                 }
                 Some(ended) => {
                     let stopped = status(&mut client).and_then(|now| now.stopped);
@@ -253,10 +328,7 @@ impl Process {
 
 /// Prints the results and the path of the report.
 fn summarise(out: &Path) -> Result<(), Failure> {
-    let path = out.join("report.json");
-    let text = std::fs::read_to_string(&path).map_err(|error| Failure::job(format!("{}: {error}", path.display())))?;
-    let report: Report = serde_json::from_str(&text).map_err(Failure::job)?;
-    for line in report.summary() {
+    for line in Report::read(out)?.summary() {
         say!("{line}");
     }
     say!("report: {}", out.join("report.html").display());

@@ -65,6 +65,7 @@ fn line(latest: &Latest, daemon: Presence) -> String {
         (_, true, _) => "  STALE",
         (.., Ok(Validity::Valid)) => "",
         (.., Ok(Validity::HandOver)) => "  HAND-OVER",
+        (.., Ok(Validity::Doubtful)) => "  DOUBTFUL",
         (.., Ok(Validity::Withdrawn)) => "  WITHDRAWN",
         (.., Ok(Validity::None) | Err(_)) => "  NO MODEL",
     };

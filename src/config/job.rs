@@ -70,11 +70,15 @@ pub struct Diagnosis {
     pub band: f64,
     /// Detection threshold: smallest torque RMS of an effect \[Nm\]; by default 0.7 of the noise of the mean period.
     pub threshold: Option<f64>,
+    /// Further motions that are planned and driven while the diagnosis leaves something open.
+    pub rounds: usize,
+    /// Wanted half width of the 95 % intervals of effects' parameters, as a share of their values; a wider one is left open.
+    pub until: Option<f64>,
 }
 
 impl Default for Diagnosis {
     fn default() -> Diagnosis {
-        Diagnosis { enabled: true, band: 16.0, threshold: None }
+        Diagnosis { enabled: true, band: 16.0, threshold: None, rounds: 0, until: None }
     }
 }
 
@@ -410,7 +414,7 @@ pub struct Live {
 
 impl Default for Live {
     fn default() -> Live {
-        Live { watch: false, window: 10.0, adopt: Adopt::Ask, motion: 0.0 }
+        Live { watch: false, window: 4.0, adopt: Adopt::Ask, motion: 0.0 }
     }
 }
 

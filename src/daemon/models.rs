@@ -49,6 +49,8 @@ pub struct Models {
     held: Option<(Accepted, Proposal)>,
     /// The model whose torque broke a limit: it is not handed to another loop.
     rejected: Option<u64>,
+    /// The model that the measured torques contradict, and how.
+    doubt: Option<(u64, String)>,
     pub recent: Recent,
 }
 
@@ -71,6 +73,25 @@ impl Models {
     /// Identity of the served model; 0 for none.
     pub fn served_id(&self) -> u64 {
         self.trusted().map_or(0, |served| served.id)
+    }
+
+    /// Doubts the model with this identity, or trusts it again; false where it is not served.
+    pub fn doubt(&mut self, model: u64, why: Option<String>) -> bool {
+        let served = model != 0 && self.served_id() == model;
+        if served {
+            self.doubt = why.map(|why| (model, why));
+        }
+        served
+    }
+
+    /// Identity of the served model, if it is doubted, else 0.
+    pub fn doubted(&self) -> u64 {
+        self.why_doubted().map_or(0, |_| self.served_id())
+    }
+
+    /// Why the served model is doubted.
+    pub fn why_doubted(&self) -> Option<&String> {
+        self.doubt.as_ref().filter(|(model, _)| *model == self.served_id()).map(|(_, why)| why)
     }
 
     pub fn offer(&self) -> Option<HeldModel> {

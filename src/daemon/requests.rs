@@ -53,6 +53,23 @@ impl DaemonState {
                     None => refused("no model was proposed"),
                 }
             }
+            Request::Doubt { model, why } => {
+                let words = why.clone();
+                if !self.models.doubt(model, why) {
+                    return refused(format!("model {model:016x} is not served"));
+                }
+                match words {
+                    Some(why) => tracing::warn!("the served torque is marked as doubtful: {why}"),
+                    None => {
+                        tracing::info!("the served torque is trusted again");
+                        // It was for what has gone again.
+                        if let Some((held, proposal)) = self.models.take_held() {
+                            tracing::info!("the proposed model {:016x} ({}) is withdrawn", held.id, proposal.what);
+                        }
+                    }
+                }
+                Response::Accepted {}
+            }
             Request::Reject {} => match self.models.take_held() {
                 Some((held, proposal)) => {
                     tracing::info!("the proposed model {:016x} ({}) was rejected", held.id, proposal.what);

@@ -27,6 +27,7 @@ impl DaemonState {
             late: sum(|of| of.late.unwrap_or(0)),
             dropped_records: sum(|of| of.dropped_records),
             model: self.models.served_id(),
+            doubt: self.models.why_doubted().cloned(),
             offered: self.models.offer(),
             mounting: Some(MountingMessage { rho, phi, gravity: gravity.into() }),
             gravity: Some(self.gravity.message(now_ns())),

@@ -1,5 +1,8 @@
 //! Live watch of the estimator: monitors the residual of the served model, detects changes and proposes a new model.
 
+mod log;
+
+use self::log::{Event, Log, Stretch};
 use crate::analysis::pipeline;
 use crate::config::job::{Adopt, Job};
 use crate::dataset::Run;
@@ -8,13 +11,12 @@ use crate::report::diagnosis::Effect;
 use crate::store::{ModelFile, Provenance, model_identity};
 use plumbline_core::{Phase, Record, Validity, threads};
 use plumbline_diagnose::live;
-use plumbline_diagnose::live::{END_MARGIN_S, Floor, Found, News, Remedy, STRETCH_S, Watch};
-use plumbline_diagnose::reference::Change;
+use plumbline_diagnose::live::{END_MARGIN_S, Floor, Found, News, Remedy, STRETCH_S, Watch, onset};
+use plumbline_diagnose::reference;
 use plumbline_identify::{Experiment, Settings};
 
 use plumbline_ipc::{Proposal, Status};
 use plumbline_model::{Mounting, Robot, TorqueModel};
-use serde::Serialize;
 use std::collections::VecDeque;
 use std::path::{Path, PathBuf};
 use std::thread::JoinHandle;
@@ -22,7 +24,15 @@ use std::thread::JoinHandle;
 /// Time between records \[s\].
 const SAMPLE_PERIOD_S: f64 = 1e-3;
 /// Length of the identification motion from which the usual error is computed \[s\].
-const CALIBRATION_S: f64 = 20.0;
+const CALIBRATION_S: f64 = 60.0;
+/// Time around a change that takes no part in a search: the low-pass spreads it, and its begin is known to a tenth of a second \[s\].
+const CHANGE_MARGIN_S: f64 = 0.3;
+/// Time before an alarm in which the begin of the change is looked for \[s\].
+const ONSET_WINDOW_S: f64 = 2.0;
+/// Time after a change after which an earlier model is tried again \[s\].
+const RETURN_S: f64 = 2.0;
+/// Samples since a change are used up to this time \[s\].
+const REFINED_S: f64 = 60.0;
 /// Largest speed of a joint at rest \[rad/s\].
 const REST_SPEED: f64 = 0.01;
 const MAX_LOGGED_STRETCHES: usize = 10_000;
@@ -33,73 +43,41 @@ pub struct OfferedModel {
     pub proposal: Proposal,
 }
 
-/// Content of `live.json`.
-#[derive(Default, Serialize)]
-struct Log {
-    /// Usual error at the identification, and alarm threshold, per joint \[Nm\].
-    usual: Vec<f64>,
-    limit: Vec<f64>,
-    events: Vec<Event>,
-    stretches: VecDeque<Stretch>,
+/// Whether a model holds.
+pub struct Verdict {
+    pub model: u64,
+    /// How the measured torques contradict it, if they do.
+    pub doubt: Option<String>,
 }
 
-/// An event, with the time of the arm \[s\].
-#[derive(Serialize)]
-#[serde(tag = "event", rename_all = "kebab-case")]
-enum Event {
-    /// The error exceeds the alarm threshold.
-    Lost {
-        t: f64,
-        since: f64,
-        joint: usize,
-        rms: f64,
-        usual: f64,
-    },
-    /// The error is below the threshold again.
-    Holds {
-        t: f64,
-        since: f64,
-    },
-    Proposed {
-        t: f64,
-        model: String,
-        what: String,
-        effects: Vec<Effect>,
-        before: Vec<f64>,
-        after: Vec<f64>,
-    },
-    /// No change was found that lowers the error.
-    Unexplained {
-        t: f64,
-        tried: usize,
-        rms: Vec<f64>,
-    },
-    Served {
-        t: f64,
-        model: String,
-    },
-    Rejected {
-        t: f64,
-    },
-}
-
-/// Errors over a stretch, per joint \[Nm\]: of the model along the measured motion after the low-pass, and of the torque that was
-/// served, raw.
-#[derive(Serialize)]
-struct Stretch {
-    start: f64,
-    end: f64,
-    model: String,
-    rms: Vec<f64>,
-    served_rms: Vec<f64>,
+/// A change that the model before it does not have.
+#[derive(Clone, Copy)]
+struct Change {
+    /// When it came \[s\].
+    since: f64,
+    /// Identity of the model that held before.
+    before: u64,
+    /// Time of samples after it that the next search waits for \[s\].
+    wanted: f64,
+    /// Whether earlier models were tried.
+    returned: bool,
 }
 
 struct Search {
-    /// Start of the search, and start of the alarm \[s\].
+    /// Start of the search, and of the change \[s\].
     t: f64,
     since: f64,
+    /// Model that held before the change, and the one that was served at the start.
+    before: u64,
     model: u64,
     found: JoinHandle<Found>,
+}
+
+/// A model that was identified or proposed.
+struct Known {
+    id: u64,
+    model: TorqueModel,
+    toml: String,
 }
 
 pub struct Live {
@@ -111,21 +89,25 @@ pub struct Live {
     mounting: Mounting,
     out: PathBuf,
     noise_floor: Vec<f64>,
-    /// Models by identity: the identified one and those that were proposed.
-    models: Vec<(u64, TorqueModel)>,
+    /// The identified model and those that were proposed.
+    models: Vec<Known>,
     watch: Option<Watch>,
     /// Identity of the model that the records in the buffer were served with.
     serving: u64,
     /// Samples of one motion without a gap.
     buffer: VecDeque<Record>,
     samples_since_stretch: usize,
-    /// Earliest time of the next search \[s\].
-    not_before: f64,
+    /// The change that is looked for, and refined once it was found.
+    change: Option<Change>,
+    /// Whether a proposal was rejected since the model was lost.
+    silent: bool,
     /// Whether searches block, as in simulated time, which would otherwise run ahead.
     wait_for_search: bool,
     searching: Option<Search>,
     /// Identity of the model that was proposed to the daemon.
     proposed: Option<u64>,
+    /// What the daemon is to be told about its model.
+    verdict: Option<Verdict>,
     log: Log,
     notes: Vec<String>,
 }
@@ -147,10 +129,12 @@ impl Live {
             serving: 0,
             buffer: VecDeque::new(),
             samples_since_stretch: 0,
-            not_before: 0.0,
+            change: None,
+            silent: false,
             wait_for_search: job.backend.is_fast(),
             searching: None,
             proposed: None,
+            verdict: None,
             log: Log::default(),
             notes: Vec::new(),
         })
@@ -169,14 +153,14 @@ impl Live {
         let floor = Floor::of(model, &pipeline::experiment(&part, &self.settings)?);
         (self.log.usual, self.log.limit) = (floor.usual.clone(), floor.limit.clone());
         self.noise_floor = noise_floor.to_vec();
-        self.models = vec![(model_identity(text), model.clone())];
+        self.models = vec![Known { id: model_identity(text), model: model.clone(), toml: text.into() }];
         self.watch = Some(Watch::new(floor));
         Ok(())
     }
 
     /// Processes a record; returns a model to propose, if there is one.
     pub fn update(&mut self, record: &Record) -> Result<Option<OfferedModel>, Failure> {
-        let known = self.models.iter().any(|(id, _)| *id == record.model);
+        let known = self.models.iter().any(|known| known.id == record.model);
         if record.phase != Phase::Excite || !known {
             self.clear();
             return Ok(None);
@@ -189,7 +173,7 @@ impl Live {
         }
         self.buffer.push_back(*record);
         self.samples_since_stretch += 1;
-        if self.buffer.len() > samples(self.window + 4.0 * STRETCH_S) {
+        if self.buffer.len() > samples(self.window.max(REFINED_S) + ONSET_WINDOW_S + 4.0 * STRETCH_S) {
             self.buffer.pop_front();
         }
         let needed = samples(STRETCH_S + 2.0 * END_MARGIN_S) + 2 * self.edge();
@@ -199,6 +183,11 @@ impl Live {
         self.samples_since_stretch = 0;
         self.evaluate_stretch(needed);
         self.search()
+    }
+
+    /// What is new about the served model.
+    pub fn verdict(&mut self) -> Option<Verdict> {
+        self.verdict.take()
     }
 
     /// Clears the buffer after missing samples.
@@ -214,7 +203,7 @@ impl Live {
             tracing::info!("the proposed model was rejected; the watch is silent until the served one holds again");
             let t = self.now();
             self.log.events.push(Event::Rejected { t });
-            (self.proposed, self.not_before) = (None, f64::INFINITY);
+            (self.proposed, self.change, self.silent) = (None, None, true);
         }
     }
 
@@ -247,16 +236,15 @@ impl Live {
         }
         self.serving = record.model;
         self.proposed = None;
-        self.not_before = t;
+        self.silent = false;
         self.watch.iter_mut().for_each(Watch::reset);
-        self.clear();
     }
 
     /// Evaluates the last stretch without filter transients.
     fn evaluate_stretch(&mut self, needed: usize) {
         let first = self.buffer.len() - needed;
         let Some(experiment) = self.prepared(first, self.buffer.len()) else { return };
-        let Some(model) = self.model() else { return };
+        let Some(model) = self.model(self.serving) else { return };
         let residual = live::residual(model, &experiment);
         let (count, ends) = (residual.nrows(), samples(END_MARGIN_S));
         let Some(start) = count.checked_sub(samples(STRETCH_S) + ends) else { return };
@@ -271,14 +259,20 @@ impl Live {
         if self.log.stretches.len() > MAX_LOGGED_STRETCHES {
             self.log.stretches.pop_front();
         }
-        let Some(news) = self.watch.as_mut().and_then(|watch| watch.look(begin, end, &rms)) else { return };
+        let Some(news) = self.watch.as_mut().and_then(|watch| watch.look(begin, &rms)) else { return };
         match news {
             News::Lost { since, joint, rms, floor } => {
+                let since = self.onset(since).unwrap_or(since);
+                // Another change than the one that was found, if any.
+                self.change = Some(Change { since, before: self.serving, wanted: self.window, returned: false });
                 tracing::warn!(
                     "since {since:.1} s the served model does not hold: joint {} has an error of {rms:.3} Nm, usually {floor:.3}",
                     joint + 1
                 );
-                self.log.events.push(Event::Lost { t: end, since, joint: joint + 1, rms, usual: floor });
+                let doubt =
+                    format!("since {since:.1} s joint {} has an error of {rms:.3} Nm, usually {floor:.3}", joint + 1);
+                self.verdict = Some(Verdict { model: self.serving, doubt: Some(doubt) });
+                self.log.events.push(Event::Lost { t: self.now(), since, joint: joint + 1, rms, usual: floor });
                 self.notes.push(format!(
                     "live: since {since:.1} s the served model did not hold: {rms:.3} Nm in joint {}, usually {floor:.3}",
                     joint + 1
@@ -286,39 +280,89 @@ impl Live {
             }
             News::Holds { since } => {
                 tracing::info!("since {since:.1} s the served model holds again");
-                self.log.events.push(Event::Holds { t: end, since });
-                self.not_before = end;
+                self.log.events.push(Event::Holds { t: self.now(), since });
+                (self.change, self.proposed, self.silent) = (None, None, false);
+                self.verdict = Some(Verdict { model: self.serving, doubt: None });
             }
         }
     }
 
-    /// Searches for a change once the alarm has lasted for the window.
+    /// When the change came that an alarm since about `alarm` \[s\] is about.
+    fn onset(&self, alarm: f64) -> Option<f64> {
+        let first = self.buffer.partition_point(|record| record.state.time < alarm - ONSET_WINDOW_S);
+        let experiment = self.prepared(first, self.buffer.len())?;
+        let residual = live::residual(self.model(self.serving)?, &experiment);
+        let cut = (self.buffer.len() - first).saturating_sub(residual.nrows()) / 2;
+        // The low-pass has transients at both ends.
+        let ends = samples(END_MARGIN_S).min(residual.nrows() / 3);
+        let inside = residual.rows(ends, residual.nrows() - 2 * ends).into_owned();
+        let at = onset(&inside, &self.watch.as_ref()?.floor().usual);
+        Some(self.buffer[first + cut + ends + at].state.time)
+    }
+
+    /// Looks for the change: first whether an earlier model holds again, then among the known effects, again whenever there are twice as many samples
+    /// since it came. What was found is refined like that.
     fn search(&mut self) -> Result<Option<OfferedModel>, Failure> {
-        let Some(since) = self.watch.as_ref().and_then(Watch::lost_since) else { return Ok(None) };
-        let now = self.now();
-        if self.proposed.is_some() || self.searching.is_some() || now < self.not_before {
+        let Some(mut change) = self.change.filter(|_| self.searching.is_none() && !self.silent) else {
+            return Ok(None);
+        };
+        let after = |since: f64| self.buffer.partition_point(|record| record.state.time < since + CHANGE_MARGIN_S);
+        let found = self.serving != change.before || self.proposed.is_some_and(|_| self.adopt == Adopt::Ask);
+        if !change.returned && !found && self.buffer.len() - after(change.since) >= samples(RETURN_S) {
+            // There is more to see of the change now than at the alarm.
+            change = Change { since: self.onset(change.since).unwrap_or(change.since), returned: true, ..change };
+            let first = after(change.since);
+            self.change = Some(change);
+            if let Some(offer) = self.earlier(change.since, first)? {
+                return Ok(Some(offer));
+            }
+        }
+        let after = self.buffer.partition_point(|record| record.state.time < change.since + CHANGE_MARGIN_S);
+        let count = self.buffer.len() - after;
+        if count < samples(change.wanted) {
             return Ok(None);
         }
-        // The change lies in the first stretch above the threshold.
-        let after = self.buffer.partition_point(|record| record.state.time < since + STRETCH_S);
-        if self.buffer.len() - after < samples(self.window) {
-            return Ok(None);
-        }
-        let middle = after + live::divide(self.buffer.len() - after);
+        self.change = (change.wanted < REFINED_S).then_some(Change { wanted: 2.0 * change.wanted, ..change });
+        let middle = after + live::divide(count);
         let parts = (self.prepared(after, middle), self.prepared(middle, self.buffer.len()));
-        let ((Some(find), Some(judge)), Some(model)) = (parts, self.model()) else { return Ok(None) };
+        let served = self.proposed.filter(|_| self.adopt == Adopt::Ask).unwrap_or(self.serving);
+        let ((Some(find), Some(judge)), Some(lost), Some(served)) =
+            (parts, self.model(change.before).cloned(), self.model(served).cloned())
+        else {
+            return Ok(None);
+        };
         let threads = threads();
         let settings = plumbline_diagnose::Settings { threads, ..plumbline_diagnose::Settings::default() };
-        let model = model.clone();
         // The search has its own thread: samples have to be acknowledged meanwhile.
-        let found = std::thread::spawn(move || live::search(&model, &find, &judge, &settings));
-        self.searching = Some(Search { t: now, since, model: self.serving, found });
+        let found = std::thread::spawn(move || live::search(&lost, &served, &find, &judge, &settings));
+        self.searching =
+            Some(Search { t: self.now(), since: change.since, before: change.before, model: self.serving, found });
         self.collect(self.wait_for_search)
+    }
+
+    /// Proposes an earlier model that predicts the samples from `first` on, the latest first.
+    fn earlier(&mut self, since: f64, first: usize) -> Result<Option<OfferedModel>, Failure> {
+        let (Some(experiment), Some(watch)) = (self.prepared(first, self.buffer.len()), &self.watch) else {
+            return Ok(None);
+        };
+        let holds = |known: &&Known| known.id != self.serving && live::holds(&known.model, &experiment, watch.floor());
+        let Some(known) = self.models.iter().rev().find(holds) else { return Ok(None) };
+        let errors = |model: &TorqueModel| {
+            let residual = live::residual(model, &experiment);
+            live::rms(&residual, 0..residual.nrows())
+        };
+        let (toml, id) = (known.toml.clone(), known.id);
+        let after = errors(&known.model);
+        let Some(before) = self.model(self.serving).map(errors) else { return Ok(None) };
+        let what = format!("as it was: model {} holds again", hex(id));
+        self.change = None;
+        self.offer(self.now(), since, id, what, Vec::new(), [before, after], toml).map(Some)
     }
 
     /// Returns the result of an ended search; with `wait`, blocks until its end.
     pub fn collect(&mut self, wait: bool) -> Result<Option<OfferedModel>, Failure> {
-        let Some(Search { t, since, model, found }) = self.searching.take_if(|one| wait || one.found.is_finished())
+        let Some(Search { t, since, before, model, found }) =
+            self.searching.take_if(|one| wait || one.found.is_finished())
         else {
             return Ok(None);
         };
@@ -327,11 +371,14 @@ impl Live {
             return Ok(None);
         }
         let offer = match found {
-            Found::Remedy(remedy) => Some(self.propose(t, since, *remedy)?),
-            Found::Nothing { tried, before } => {
-                tracing::warn!("no known change explains the error of {}", list(&before));
-                self.log.events.push(Event::Unexplained { t, tried, rms: before });
-                self.not_before = t + self.window;
+            Found::Remedy(remedy) => Some(self.propose(t, since, before, *remedy)?),
+            // What is served is as good as what more samples tell.
+            Found::Nothing { .. } if before != self.serving || self.proposed.is_some() => None,
+            Found::Nothing { tried, before: rms } => {
+                tracing::warn!("no known change explains the error of {}", list(&rms));
+                let doubt = Some(format!("since {since:.1} s no known change explains the error of {} Nm", list(&rms)));
+                self.verdict = Some(Verdict { model, doubt });
+                self.log.events.push(Event::Unexplained { t, tried, rms });
                 None
             }
         };
@@ -339,9 +386,9 @@ impl Live {
         Ok(offer)
     }
 
-    fn propose(&mut self, t: f64, since: f64, remedy: Remedy) -> Result<OfferedModel, Failure> {
+    fn propose(&mut self, t: f64, since: f64, lost: u64, remedy: Remedy) -> Result<OfferedModel, Failure> {
         let Remedy { changes, model, before, after } = remedy;
-        let what = changes.iter().map(Change::line).collect::<Vec<_>>().join("; ");
+        let what = changes.iter().map(reference::Change::line).collect::<Vec<_>>().join("; ");
         let source = format!("live, since {since:.1} s: {what}");
         let file = ModelFile {
             model,
@@ -353,32 +400,46 @@ impl Live {
         };
         let toml = file.to_toml();
         crate::atomic::write_result(&self.out.join("model-live.toml"), toml.as_bytes())?;
-        let worst = (0..self.joints).max_by(|&a, &b| before[a].total_cmp(&before[b])).unwrap_or(0);
-        let effects = self.effects(&changes);
+        let effects = self.effects(lost, &changes);
         let id = model_identity(&toml);
+        self.models.push(Known { id, model: file.model, toml: toml.clone() });
+        self.offer(t, since, id, what, effects, [before, after], toml)
+    }
+
+    #[allow(clippy::too_many_arguments, reason = "one proposal, told to the log, the report and the daemon")]
+    fn offer(
+        &mut self,
+        t: f64,
+        since: f64,
+        id: u64,
+        what: String,
+        effects: Vec<Effect>,
+        [before, after]: [Vec<f64>; 2],
+        toml: String,
+    ) -> Result<OfferedModel, Failure> {
+        let worst = (0..self.joints).max_by(|&a, &b| before[a].total_cmp(&before[b])).unwrap_or(0);
         let asks = if self.adopt == Adopt::Ask { ", if adopted" } else { "" };
         self.notes.push(format!(
-            "live: {what}; error in joint {} {:.3} -> {:.3} Nm with model {id:016x}{asks}",
+            "live: since {since:.1} s: {what}; error in joint {} {:.3} -> {:.3} Nm with model {id:016x}{asks}",
             worst + 1,
             before[worst],
             after[worst]
         ));
         let (of_worst, left) = (before[worst], after[worst]);
         let model = hex(id);
-        self.log.events.push(Event::Proposed { t, model, what: what.clone(), effects, before, after });
-        self.models.push((id, file.model));
+        self.log.events.push(Event::Proposed { t, since, model, what: what.clone(), effects, before, after });
         self.proposed = Some(id);
         let proposal = Proposal { what, since, joint: worst + 1, before: of_worst, after: left };
         Ok(OfferedModel { toml, proposal })
     }
 
-    fn effects(&self, changes: &[Change]) -> Vec<Effect> {
-        let Some(model) = self.model() else { return Vec::new() };
+    fn effects(&self, lost: u64, changes: &[reference::Change]) -> Vec<Effect> {
+        let Some(model) = self.model(lost) else { return Vec::new() };
         changes.iter().map(|change| change.effect(model, Some(&self.mounting), true)).collect()
     }
 
-    fn model(&self) -> Option<&TorqueModel> {
-        self.models.iter().find(|(id, _)| *id == self.serving).map(|(_, model)| model)
+    fn model(&self, id: u64) -> Option<&TorqueModel> {
+        self.models.iter().find(|known| known.id == id).map(|known| &known.model)
     }
 
     /// Samples of the buffer as one prepared motion; `None` if they are too few or mostly at rest.
@@ -392,7 +453,9 @@ impl Live {
 
     /// RMS of measured minus served torque between two moments, per joint \[Nm\].
     fn served(&self, begin: f64, end: f64) -> Vec<f64> {
-        let within = |r: &&Record| (begin..end).contains(&r.state.time) && r.validity == Validity::Valid;
+        let within = |r: &&Record| {
+            (begin..end).contains(&r.state.time) && matches!(r.validity, Validity::Valid | Validity::Doubtful)
+        };
         let chosen: Vec<&Record> = self.buffer.iter().filter(within).collect();
         let square = |j: usize| chosen.iter().map(|r| (r.state.tau[j] - r.command.tau_ff.0[j]).powi(2)).sum::<f64>();
         (0..self.joints).map(|j| (square(j) / chosen.len().max(1) as f64).sqrt()).collect()

@@ -4,7 +4,7 @@ pub mod live;
 
 use crate::analysis::collector::{Collector, Recorded};
 use crate::analysis::results::Results;
-use crate::estimator::live::{Live, OfferedModel};
+use crate::estimator::live::{Live, OfferedModel, Verdict};
 use crate::failure::Failure;
 use crate::process::journal;
 use crate::process::service::Service;
@@ -16,6 +16,7 @@ use plumbline_ipc::{
     StreamSettings,
 };
 use plumbline_model::Mounting;
+use std::path::PathBuf;
 use std::sync::mpsc::RecvTimeoutError;
 use std::time::{Duration, Instant};
 
@@ -27,6 +28,9 @@ pub struct Options {
     /// End when the results of one programme are written
     #[arg(long)]
     once: bool,
+    /// Results of the round before: their runs are identified from and judged by, too
+    #[arg(long, value_name = "DIR", requires = "once")]
+    after: Option<PathBuf>,
 }
 
 /// Timeout of the connection to a daemon.
@@ -56,7 +60,8 @@ pub fn run(options: Options) -> Result<(), Failure> {
             Err(error) => return Err(Failure::job(error)),
         };
         let programme = Programme::load(&job, &out.join("plans"))?;
-        let results = Results::new(&job, &robot, &programme, &out);
+        let mut results = Results::new(&job, &robot, &programme, &out);
+        options.after.as_deref().map_or(Ok(()), |dir| results.go_on_from(dir))?;
         let live = Live::new(&job, &robot, &out);
         service.status("follows the samples");
         let outcome = match follow(&id, &mut stream, &programme, results, live, &mut service) {
@@ -130,10 +135,10 @@ fn follow(
                     {
                         return Ok(Outcome::Unusable { why: format!("the daemon refused the model: {why}") });
                     }
-                    if let Some(live) = &mut live
-                        && let Some(offer) = live.update(record)?
-                    {
-                        propose(id, stream.epoch(), offer)?;
+                    if let Some(live) = &mut live {
+                        let offer = live.update(record)?;
+                        live.verdict().map_or(Ok(()), |verdict| tell(id, stream.epoch(), verdict))?;
+                        offer.map_or(Ok(()), |offer| propose(id, stream.epoch(), offer))?;
                     }
                 }
             }
@@ -273,6 +278,12 @@ fn propose(id: &RobotId, epoch: u64, offer: OfferedModel) -> Result<(), Failure>
         other => return Err(Failure::job(format!("unexpected response of the daemon to a proposal: {other:?}"))),
     }
     Ok(())
+}
+
+/// Tells the daemon whether its model holds. A refusal means that it serves another one by now.
+fn tell(id: &RobotId, epoch: u64, verdict: Verdict) -> Result<(), Failure> {
+    let request = Request::Doubt { model: verdict.model, why: verdict.doubt };
+    client_of(id, epoch)?.send(&request, RESPONSE_TIMEOUT).map(|_| ()).map_err(Failure::job)
 }
 
 fn client(id: &RobotId) -> Result<Client, Failure> {

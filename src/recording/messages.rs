@@ -47,7 +47,7 @@ pub(super) fn schema(topic: &str) -> (&'static str, String) {
              float64[] position_accepted    # desired position that the arm last accepted [rad]\n\
              float64[] acceleration_desired # [rad/s2]\n\
              float64[] torque_vendor        # model torque at rest for the gravity that the arm compensates [Nm]\n\
-             uint8 validity                 # 0 no model yet, 1 valid, 2 hand-over, 3 withdrawn\n"
+             uint8 validity                 # 0 no model yet, 1 valid, 2 hand-over, 3 withdrawn, 4 doubtful\n"
                 .to_string(),
         ),
         EVENTS => (
@@ -138,7 +138,7 @@ pub(super) fn read_cycle(topic: &str, bytes: &[u8], record: &mut Record) -> Resu
         message.f64s(&mut record.command.tau_vendor.0)?;
         // Recordings of version 0.1 have no validity: it follows from the model.
         let code = message.u8().unwrap_or(if record.model == 0 { 0 } else { 1 });
-        record.validity = Validity::from_u32(code.into()).ok_or_else(|| unknown(code, "a validity from 0 to 3"))?;
+        record.validity = Validity::from_u32(code.into()).ok_or_else(|| unknown(code, "a validity from 0 to 4"))?;
         return Ok(());
     }
     message.i32()?;

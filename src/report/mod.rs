@@ -19,6 +19,7 @@ pub use plumbline_diagnose::errors::Band;
 pub use timing::{IpcReport, LoopReport};
 
 use crate::atomic;
+use crate::failure::Failure;
 use plumbline_model::{Mounting, Parameter, TorqueModel};
 use serde::{Deserialize, Deserializer, Serialize};
 use std::io;
@@ -44,6 +45,9 @@ pub struct Report {
     /// Diagnosis of the residual; absent if not requested.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub diagnosis: Option<Diagnosis>,
+    /// The rounds before, each with what it left open; empty where the job has one.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub rounds: Vec<Round>,
     /// Parameters and runs that this data does not determine.
     pub identifiability: Identifiability,
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
@@ -69,6 +73,29 @@ pub struct Report {
     pub provenance: serde_json::Map<String, serde_json::Value>,
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub notes: Vec<String>,
+}
+
+/// What a round of a job ended with.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Round {
+    pub verdict: diagnosis::Verdict,
+    /// The findings, as in the report of that round.
+    pub found: Vec<String>,
+    /// What it left open, with what the motion of the next round was expected to answer.
+    pub open: Vec<diagnosis::Open>,
+    /// Errors on unseen runs, per joint \[Nm\].
+    pub validate_rms: Vec<f64>,
+}
+
+impl Round {
+    pub fn of(diagnosis: &Diagnosis) -> Round {
+        Round {
+            verdict: diagnosis.verdict,
+            found: diagnosis.effects.iter().map(diagnosis::name).collect(),
+            open: diagnosis.open.clone(),
+            validate_rms: diagnosis.after.validate_rms.clone(),
+        }
+    }
 }
 
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -271,6 +298,17 @@ pub struct EstimatorFacts {
 }
 
 impl Report {
+    /// Reads `report.json` of a folder.
+    ///
+    /// # Errors
+    /// A file that can't be read or is no report, by its name.
+    pub fn read(dir: &Path) -> Result<Report, Failure> {
+        let path = dir.join("report.json");
+        let failed = |error: &dyn std::fmt::Display| Failure::job(format!("{}: {error}", path.display()));
+        let text = std::fs::read_to_string(&path).map_err(|error| failed(&error))?;
+        serde_json::from_str(&text).map_err(|error| failed(&error))
+    }
+
     /// The text of `report.json`.
     pub fn to_json(&self) -> serde_json::Result<String> {
         serde_json::to_string_pretty(self).map(|text| text + "\n")
@@ -284,6 +322,11 @@ impl Report {
     /// Summary in a few lines, printed at the end of a job.
     pub fn summary(&self) -> Vec<String> {
         summary::lines(self)
+    }
+
+    /// The diagnosis alone in a few lines; none without one.
+    pub fn diagnosis_lines(&self) -> Vec<String> {
+        self.diagnosis.as_ref().map_or(Vec::new(), diagnosis::lines)
     }
 
     /// Writes `report.json` and `report.html` into folder `dir`, each atomically.

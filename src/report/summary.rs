@@ -1,6 +1,6 @@
 //! Summary of a job in a few lines.
 
-use super::{Band, Base, CounterExperiment, LoopReport, MotionUsage, Report, TermCount, Validation, diagnosis};
+use super::{Band, Base, CounterExperiment, LoopReport, MotionUsage, Report, Round, TermCount, Validation, diagnosis};
 
 /// Ratio from which an RMS counts as changed. The scatter of an RMS over ten thousand samples is below 1 %.
 pub(super) const CHANGED: f64 = 0.05;
@@ -77,6 +77,15 @@ pub(super) fn counts(base: &Base) -> String {
     format!("{} base parameters ({}{terms}){effects}", base.count, base.kind)
 }
 
+/// What a round ended with and what was asked in the next one.
+fn round_text(round: &Round) -> String {
+    let found = if round.found.is_empty() { String::new() } else { format!(": {}", round.found.join(", ")) };
+    let open: String = round.open.iter().map(|open| format!("; open: {}", diagnosis::open_question(open))).collect();
+    let errors = round.validate_rms.iter().map(|rms| format!("{rms:.3}")).collect::<Vec<_>>().join(" ");
+    let errors = if errors.is_empty() { String::new() } else { format!("; RMS on unseen runs [Nm]: {errors}") };
+    format!("{}{found}{errors}{open}", round.verdict)
+}
+
 /// Smallest use of each joint's range and speed over all motions.
 fn usage(report: &Report) -> Option<String> {
     let least = |of: fn(&MotionUsage) -> &Vec<f64>| {
@@ -132,6 +141,7 @@ pub(super) fn without_diagnosis(report: &Report) -> Vec<String> {
     if !report.identifiability.untrusted_runs.is_empty() {
         lines.push(format!("runs in which the model is not valid: {}", names(&report.identifiability.untrusted_runs)));
     }
+    lines.extend(report.rounds.iter().enumerate().map(|(k, round)| format!("round {}: {}", k + 1, round_text(round))));
     lines.extend(report.notes.iter().map(|note| format!("note: {note}")));
     lines
 }

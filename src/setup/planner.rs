@@ -99,6 +99,18 @@ impl<'a> Planner<'a> {
         self.task(mounting, self.job.margins()).random(&self.search(seed)).map_err(|error| self.no_plan(error))
     }
 
+    /// The motion with the largest `score` of those that keep every limit.
+    pub fn next<T>(
+        &self,
+        mounting: &Mounting,
+        find: impl FnOnce(&Problem, &Search) -> Result<T, ExciteError>,
+    ) -> Result<T, Failure> {
+        let search = self.search(self.job.excitation.seed);
+        self.task(mounting, self.job.margins())
+            .with_problem(|problem| find(problem, &search))
+            .map_err(|error| self.no_plan(error))
+    }
+
     /// Checks that a plan from a file fits the job's robot, keeps every limit, margins apart, at 1 kHz, passes the guard, and moves every joint.
     pub fn check(&self, plan: &Plan, path: &Path) -> Result<(), Failure> {
         let file = path.display().to_string();

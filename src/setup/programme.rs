@@ -5,7 +5,7 @@ use crate::failure::Failure;
 use crate::process::progress;
 use crate::setup::planner::Planner;
 use crate::store::{load_plan, save_plan};
-use plumbline_core::{ArmLimits, BadInput, JointVec, Limits, Setpoint};
+use plumbline_core::{ArmLimits, BadInput, JointVec, Limits, Setpoint, from_toml};
 use plumbline_excite::{Bounds, Fourier, Peak, Plan, Quantity, check_points_with_guard, check_pose};
 use plumbline_model::{Mounting, Robot, VERTICAL_TOLERANCE};
 use plumbline_rt::MoveFactors;
@@ -157,7 +157,10 @@ pub fn plan_or_load(job: &Job, robot: &Robot, out: &Path, arm: Option<&ArmLimits
     if std::fs::read_to_string(&stamp_file).is_ok_and(|text| text.trim() == stamp) {
         let known = Programme::load(job, &dir)?;
         match known.check(&planner, &dir) {
-            Ok(()) => return Ok(known),
+            Ok(()) => {
+                save_arm_limits(&dir, arm)?;
+                return Ok(known);
+            }
             Err(broken) => tracing::warn!("the plans in {} are not driven, new ones are made: {broken}", dir.display()),
         }
     }
@@ -165,8 +168,25 @@ pub fn plan_or_load(job: &Job, robot: &Robot, out: &Path, arm: Option<&ArmLimits
     let programme = Programme::plan(&planner, &|name, share| bar.at(share, name))?;
     bar.done();
     programme.save(&dir)?;
+    save_arm_limits(&dir, arm)?;
     crate::atomic::write_file(&stamp_file, stamp.as_bytes()).map_err(Failure::job)?;
     Ok(programme)
+}
+
+/// File with the limits of the connected arm, beside the plans that were made under them; empty where the arm has none.
+const ARM_LIMITS: &str = "arm-limits.toml";
+
+fn save_arm_limits(dir: &Path, arm: Option<&ArmLimits>) -> Result<(), Failure> {
+    let limits = arm.map(toml::to_string).transpose().map_err(Failure::job)?;
+    crate::atomic::write_result(&dir.join(ARM_LIMITS), limits.unwrap_or_default().as_bytes())
+}
+
+/// The limits of the arm that the plans of `out` were made for.
+pub fn arm_limits(out: &Path) -> Result<Option<ArmLimits>, Failure> {
+    let path = out.join("plans").join(ARM_LIMITS);
+    let file = path.display().to_string();
+    let text = std::fs::read_to_string(&path).map_err(|error| Failure::job(format!("{file}: {error}")))?;
+    (!text.is_empty()).then(|| Ok(from_toml(&file, &text)?)).transpose()
 }
 
 /// Motions that are tried when the way to a motion's start leaves the workspace.
@@ -176,6 +196,11 @@ const SEED_STEP: u64 = 10_007;
 
 /// Distance of the live motion's seed from those of the validation.
 const LIVE_SEED: u64 = 500;
+
+/// Whether the arm reaches the start of a motion from where the job begins, and home again.
+pub fn is_reached(planner: &Planner, q0: &[f64]) -> bool {
+    Ways::new(planner).is_ok_and(|mut ways| ways.go(&planner.job.mounting, q0).is_ok())
+}
 
 /// The ways between motions, as the loop will drive them.
 struct Ways<'a> {

@@ -85,6 +85,8 @@ fn diagnosed() -> Diagnosis {
         noise_floor: FLOOR.to_vec(),
         unexplained: Vec::new(),
         disagreements: Vec::new(),
+        undetermined: Vec::new(),
+        open: Vec::new(),
         minimum_detectable: [("presliding".to_string(), least("Nm")), ("rotor-inertia".to_string(), least("kg m2"))]
             .into(),
         not_identifiable: vec![NotIdentifiable {

@@ -56,6 +56,7 @@ fn report() -> Report {
         counter_experiment: Some(counter_experiment()),
         noise_floor: FLOOR.to_vec(),
         diagnosis: None,
+        rounds: Vec::new(),
         identifiability: Identifiability::default(),
         consistency: None,
         conditions: vec![

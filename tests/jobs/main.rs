@@ -23,6 +23,7 @@ mod plan_robots;
 mod power_cut;
 mod predict_command;
 mod reference_pages;
+mod rounds;
 mod run_identity;
 mod undeclared_effect;
 mod vertical_model;

@@ -181,7 +181,7 @@ pub trait TimeGate: Send + Sync {
 }
 
 /// Limits that a connected arm holds commands to, its margin included.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct ArmLimits {
     /// Joints that have limits here, the first ones.
     pub joints: usize,

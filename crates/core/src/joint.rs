@@ -100,19 +100,21 @@ pub enum Validity {
     HandOver = 2,
     /// The model was withdrawn or violated a limit, and no other is served: the torque is ramped to zero, or is zero.
     Withdrawn = 3,
+    /// The served model's torque, which the measured one contradicts: something has changed, and no model has it yet.
+    Doubtful = 4,
 }
 
 impl Validity {
     /// The validity of a code from a message; `None` for an unknown code.
     pub fn from_u32(code: u32) -> Option<Validity> {
-        [Validity::None, Validity::Valid, Validity::HandOver, Validity::Withdrawn]
+        [Validity::None, Validity::Valid, Validity::HandOver, Validity::Withdrawn, Validity::Doubtful]
             .into_iter()
             .find(|validity| *validity as u32 == code)
     }
 
     /// Whether a model is served.
     pub fn is_served(self) -> bool {
-        matches!(self, Validity::Valid | Validity::HandOver)
+        matches!(self, Validity::Valid | Validity::HandOver | Validity::Doubtful)
     }
 }
 
@@ -165,7 +167,7 @@ pub struct Limits {
 
 /// Position-dependent speed limit of a joint, as of the Franka Research 3:
 /// `dq <= min(dq_max, max(0, sqrt(2 dec (q_max - q)) - offset))`, and mirrored at the lower end.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct SpeedEnvelope {
     /// Subtracted from the speed at which a joint can still brake before the end of its range \[rad/s\].
     pub offset: JointVec,

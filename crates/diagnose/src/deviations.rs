@@ -8,13 +8,13 @@
 //! is their covariance (Gauss and Newton). A linear parameter's deviation with the settings held is too small: friction and the displacement over
 //! which it builds up share an error.
 
-use super::evidence::Rows;
+use super::evidence::{Evidence, Rows};
 use super::fit::inverse;
 use super::library::Candidate;
 use super::select::{Search, inside};
 use super::state::State;
-use nalgebra::DMatrix;
-use plumbline_model::term::effect::Spec;
+use nalgebra::{DMatrix, DVector};
+use plumbline_model::term::effect::{OperatingPoint, Spec};
 
 /// Half the step of a derivative, as a ratio of the distance between two start values of a setting.
 const STEP_RATIO: f64 = 0.05;
@@ -27,20 +27,18 @@ pub(super) struct Deviations {
 }
 
 impl Deviations {
-    /// Of a fitted state; a setting whose derivative can't be computed is held.
+    /// Of a fitted state.
     pub fn of(search: &Search, state: &State) -> Deviations {
+        let evidence = search.problem.evidence;
         let mut columns = state.columns.clone();
         let mut first = Vec::new();
         let mut next = state.fit.theta.len();
         for (index, item) in state.items.iter().enumerate() {
             first.push(next);
-            for setting in 0..item.spec.settings.len() {
-                let slope = slope(search, state, index, setting);
-                columns.push(&slope.unwrap_or(Rows { width: 1, parts: Vec::new() }));
-                next += 1;
-            }
+            next += item.spec.settings.len();
+            let beta = state.fit.theta.rows(state.range(index).start, item.rows.width);
+            columns.push(&slopes(evidence, search.operating_point, item, beta.as_slice()));
         }
-        let evidence = search.problem.evidence;
         let information = search.problem.information(&columns.moments(evidence), &state.fit.weights);
         Deviations { covariance: inverse(&information), first }
     }
@@ -59,26 +57,36 @@ impl Deviations {
     }
 }
 
-/// Change of an effect's torque with one of its settings, as a column.
-fn slope(search: &Search, state: &State, index: usize, which: usize) -> Option<Rows> {
-    let item = &state.items[index];
-    let form = item.spec.family().ok()?.form(item.spec.form)?;
-    let setting = &form.settings[which];
-    let share = setting.share(item.spec.settings[which]);
-    let step = STEP_RATIO * setting.spacing();
-    let [low, high] = [share - step, share + step].map(|share| inside(setting, share));
-    let beta = state.fit.theta.rows(state.range(index).start, item.rows.width);
-    let torque = |value: f64| {
-        let mut settings = item.spec.settings.clone();
-        settings[which] = value;
-        let spec = Spec { settings, ..item.spec.clone() };
-        let moved = Candidate::of(search.problem.evidence, search.operating_point, spec, item.span)?;
-        Some(moved.rows.parts.into_iter().map(|(joint, part)| (joint, part * beta)).collect::<Vec<_>>())
-    };
-    let (below, above) = (torque(low)?, torque(high)?);
-    let parts = below.into_iter().zip(above).map(|((joint, below), (_, above))| {
-        let slope = (above - below) / (high - low);
-        (joint, DMatrix::from_column_slice(slope.len(), 1, slope.as_slice()))
-    });
-    Some(Rows { width: 1, parts: parts.collect() })
+/// Change of an effect's torque with each of its settings, one column per setting; zero where it can't be computed, which holds that setting.
+pub(super) fn slopes(
+    evidence: &Evidence,
+    operating_point: &OperatingPoint,
+    item: &Candidate,
+    parameters: &[f64],
+) -> Rows {
+    let beta = DVector::from_column_slice(parameters);
+    let width = item.spec.settings.len();
+    let mut rows = Rows { width, parts: Vec::new() };
+    let Some(form) = item.spec.family().ok().and_then(|family| family.form(item.spec.form)) else { return rows };
+    for (which, setting) in form.settings.iter().enumerate() {
+        let share = setting.share(item.spec.settings[which]);
+        let step = STEP_RATIO * setting.spacing();
+        let [low, high] = [share - step, share + step].map(|share| inside(setting, share));
+        let torque = |value: f64| {
+            let mut settings = item.spec.settings.clone();
+            settings[which] = value;
+            let spec = Spec { settings, ..item.spec.clone() };
+            let moved = Candidate::of(evidence, operating_point, spec, item.span)?;
+            Some(moved.rows.parts.into_iter().map(|(joint, part)| (joint, part * &beta)).collect::<Vec<_>>())
+        };
+        let (Some(below), Some(above)) = (torque(low), torque(high)) else { continue };
+        for ((joint, below), (_, above)) in below.into_iter().zip(above) {
+            let at = rows.parts.iter().position(|(own, _)| *own == joint).unwrap_or_else(|| {
+                rows.parts.push((joint, DMatrix::zeros(below.len(), width)));
+                rows.parts.len() - 1
+            });
+            rows.parts[at].1.set_column(which, &((above - below) / (high - low)));
+        }
+    }
+    rows
 }

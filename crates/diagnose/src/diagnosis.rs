@@ -7,16 +7,17 @@ use super::curves;
 use super::delivery::Delivery;
 use super::detectable;
 use super::deviations::Deviations;
-use super::disagreement::disagreements;
+use super::disagreement::{Disagreements, disagreements};
 use super::errors::Of;
 use super::evidence::{Evidence, Trial};
 use super::fallback::{self, Residual};
 use super::fit::{MIN_INDEPENDENCE_RATIO, Problem, group};
 use super::gates;
 use super::library::{Candidate, library, repeatable};
+use super::open::{OpenQuestions, Question};
 use super::outcome::{
-    self, Action, BeforeAfter, Confirmation, Diagnosis, Disagreement, Effect, Fitted, JointFacts, Outcome, Parameters,
-    Quantity, Score, Verdict,
+    self, Action, Acts, BeforeAfter, Confirmation, Diagnosis, Disagreement, Effect, Fitted, JointFacts, Outcome,
+    Parameters, Quantity, Score, Verdict,
 };
 use super::parts::{self, Named};
 use super::reference;
@@ -158,23 +159,27 @@ pub fn diagnose(input: &Input, settings: &Settings, progress: &dyn Fn(&Step)) ->
     let compared = delivery.compared(&after, input.measuring());
     let independences = detectable::independences(&search, &base);
     let others = [veto.clone(), judge.clone()].concat();
-    let disagreements = disagreements(structure.chain(), &evidence, &identified, &others, &after, settings.band);
+    let Disagreements { different, undetermined } =
+        disagreements(structure.chain(), &evidence, &identified, &others, &after, settings.band);
     let mut diagnosis = Diagnosis {
-        verdict: verdict(&effects, residuals.is_empty() && disagreements.is_empty()),
+        verdict: verdict(&effects, residuals.is_empty() && different.is_empty(), undetermined.is_empty()),
         confirmation: Some(confirmation(&evidence)),
         held_out_runs: input.measuring().iter().map(|trial| trial.experiment.name.clone()).collect(),
         unexplained: residuals.iter().map(|one| one.unexplained(joints[one.joint].floor_of_mean)).collect(),
         minimum_detectable: detectable::minimum(&search, &independences),
         not_identifiable: detectable::not_identifiable(&independences),
         path: steps("the plain model", &joints, &selected.path),
-        scores: scores(&selected, &effects),
-        notes: notes(&evidence, input, &effects, &disagreements),
+        scores: scores(&selected, &effects, input.identify),
+        notes: notes(&evidence, input, &effects, &different, &undetermined),
         effects,
         joints,
-        disagreements,
+        disagreements: different,
+        undetermined,
         rules: RULES.into(),
         ..Diagnosis::default()
     };
+    let open = OpenQuestions::of(&search, structure, &selected, diagnosis.verdict, input.identify, settings);
+    diagnosis.open = open.questions().map(Question::facts).collect();
     if let Some(compared) = compared {
         diagnosis.change = Some(compared.change.clone());
         diagnosis.set_errors(compared);
@@ -184,11 +189,17 @@ pub fn diagnose(input: &Input, settings: &Settings, progress: &dyn Fn(&Step)) ->
         diagnosis.noise_floor = after.identification.rms.noise_floor.clone().unwrap_or_default();
     }
     let before = Fitted { structure: structure.clone(), identification: before.clone() };
-    Ok(Outcome { diagnosis, before, after, residuals, curves })
+    Ok(Outcome { diagnosis, before, after, residuals, curves, open })
 }
 
 /// Remarks on what the findings were tested on, and on effects that are not delivered.
-fn notes(evidence: &Evidence, input: &Input, effects: &[Effect], disagreements: &[Disagreement]) -> Vec<String> {
+fn notes(
+    evidence: &Evidence,
+    input: &Input,
+    effects: &[Effect],
+    disagreements: &[Disagreement],
+    undetermined: &[Disagreement],
+) -> Vec<String> {
     let mut notes = Vec::new();
     match confirmation(evidence) {
         Confirmation::OneTrajectory => {
@@ -210,6 +221,13 @@ fn notes(evidence: &Evidence, input: &Input, effects: &[Effect], disagreements: 
         let Disagreement { run, joint, rms, expected } = one;
         format!(
             "run {run} differs from the runs that the model was identified from: {rms:.3} Nm in joint {joint}, expected {expected:.3} Nm"
+        )
+    }));
+    notes.extend(undetermined.iter().map(|one| {
+        let Disagreement { run, joint, rms, expected } = one;
+        format!(
+            "run {run} has {rms:.3} Nm in joint {joint} where the noise and what the model lacks make {expected:.3} Nm; the errors of the parameters explain \
+             it, so a motion that determines them better has to be recorded before more can be said"
         )
     }));
     let also = match input.judge {
@@ -235,18 +253,23 @@ pub(super) fn steps(from: &str, joints: &[JointFacts], path: &[Step]) -> Vec<out
 }
 
 /// The best candidates for the plain model.
-fn scores(selected: &Selected, effects: &[Effect]) -> Vec<Score> {
+fn scores(selected: &Selected, effects: &[Effect], trials: &[Trial]) -> Vec<Score> {
     let joints = |spec: &Spec| outcome::joints(spec.site);
-    let chosen = |spec: &Spec| effects.iter().any(|own| own.id == spec.family && own.joints == joints(spec));
+    // What begins at about the same time is the same.
+    let begin = |acts: &Option<Acts>| acts.as_ref().map(|acts| acts.run.clone());
+    let chosen = |spec: &Spec, acts: &Option<Acts>| {
+        let same =
+            |own: &Effect| own.id == spec.family && own.joints == joints(spec) && begin(&own.acts) == begin(acts);
+        effects.iter().any(same)
+    };
     let rival = |spec: &Spec| {
         let mut rivals = effects.iter().flat_map(|own| &own.alternatives_detail);
         rivals.any(|rival| rival.id == spec.family && rival.joints == joints(spec))
     };
-    let score = |one: &Scored| Score {
-        label: one.item.spec.to_string(),
-        score: one.score,
-        chosen: chosen(&one.item.spec),
-        equivalent: rival(&one.item.spec),
+    let score = |one: &Scored| {
+        let (spec, acts) = (&one.item.spec, acting::acts(one.item.span, trials));
+        let label = acts.as_ref().map_or(spec.to_string(), |acts| format!("{spec} {acts}"));
+        Score { label, score: one.score, chosen: chosen(spec, &acts), equivalent: acts.is_none() && rival(spec) }
     };
     selected.first.iter().take(MAX_LISTED_SCORES).map(score).collect()
 }
@@ -479,11 +502,12 @@ fn residuals(
     found
 }
 
-fn verdict(effects: &[Effect], complete: bool) -> Verdict {
+fn verdict(effects: &[Effect], complete: bool, determined: bool) -> Verdict {
     let found = effects.iter().any(Effect::counts);
     let rivals = effects.iter().any(|effect| effect.counts() && !effect.alternatives.is_empty());
     match (found, !complete) {
-        (false, false) => Verdict::NothingSignificant,
+        (false, false) if determined => Verdict::NothingSignificant,
+        (false, false) => Verdict::NotDetermined,
         (false, true) => Verdict::Unexplained,
         (true, true) => Verdict::Partly,
         (true, false) if rivals => Verdict::Ambiguous,

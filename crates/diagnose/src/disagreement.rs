@@ -22,8 +22,15 @@ impl Disagreement {
 /// Errors of the parameters to expect, in their standard deviations.
 const PARAMETER_DEVIATIONS: f64 = 1.5;
 
-/// Runs in which a joint's residual exceeds twice the expected RMS, the worst joint of each run, in the order of `unseen`. Expected are the noise,
-/// what the model lacks in the runs it was identified from, and the errors of its parameters:
+/// Unseen runs with a joint whose residual exceeds twice the expected RMS, the worst joint of each run, in the order of the runs.
+pub struct Disagreements {
+    /// Beyond what the errors of the parameters explain.
+    pub different: Vec<Disagreement>,
+    /// No more than they explain; expected is the RMS without them.
+    pub undetermined: Vec<Disagreement>,
+}
+
+/// Runs that disagree with a model. Expected are the noise, what the model lacks in the runs it was identified from, and the errors of its parameters:
 ///
 ///   E = sqrt(noise^2 + lack^2 + 1.5^2 mean_k(m_k' C m_k))
 ///
@@ -36,7 +43,7 @@ pub fn disagreements(
     unseen: &[Trial],
     fitted: &Fitted,
     band: f64,
-) -> Vec<Disagreement> {
+) -> Disagreements {
     let beta = DVector::from_column_slice(&fitted.identification.beta);
     let own = Unseen::of_model(evidence, fitted, identified);
     let lack = |joint: usize| {
@@ -45,7 +52,7 @@ pub fn disagreements(
     };
     let lacks: Vec<f64> = (0..evidence.joints()).map(lack).collect();
     let noise: Vec<f64> = (0..evidence.joints()).map(|joint| noise_of_period(evidence, identified, joint)).collect();
-    let mut found = Vec::new();
+    let mut found = Disagreements { different: Vec::new(), undetermined: Vec::new() };
     for trial in unseen {
         let trials = std::slice::from_ref(trial);
         let of_run = Evidence::of(chain, trials, band);
@@ -54,10 +61,10 @@ pub fn disagreements(
         }
         let model = Unseen::of_model(&of_run, fitted, trials);
         let periods = trial.experiment.averaged_periods() as f64;
-        let joint = |joint: usize| {
+        let joint = |deviations: f64, joint: usize| {
             let square = mean_square(&of_run, joint, &model.residual(joint, &beta));
             let parameters = model.variance(joint, &fitted.identification.covariance);
-            let expected = noise[joint] / periods + lacks[joint] + PARAMETER_DEVIATIONS.powi(2) * parameters;
+            let expected = noise[joint] / periods + lacks[joint] + deviations * deviations * parameters;
             Disagreement {
                 run: trial.experiment.name.clone(),
                 joint: joint + 1,
@@ -65,8 +72,14 @@ pub fn disagreements(
                 expected: expected.sqrt(),
             }
         };
-        let worst = (0..of_run.joints()).map(joint).max_by(|a, b| a.ratio().total_cmp(&b.ratio()));
-        found.extend(worst.filter(|worst| worst.ratio() > MIN_RMS_RATIO));
+        let worst = |deviations: f64| {
+            let joints = (0..of_run.joints()).map(|own| joint(deviations, own));
+            joints.max_by(|a, b| a.ratio().total_cmp(&b.ratio())).filter(|worst| worst.ratio() > MIN_RMS_RATIO)
+        };
+        match worst(PARAMETER_DEVIATIONS) {
+            Some(worst) => found.different.push(worst),
+            None => found.undetermined.extend(worst(0.0)),
+        }
     }
     found
 }

@@ -11,6 +11,7 @@
 //! | what changed since a model was identified | [`mod@reference`] |
 //! | the same while the model is served | [`live`] |
 //! | what differs from period to period | [`changing`] |
+//! | what is left open, and what a planned motion would answer | [`OpenQuestions`] |
 //! | the outcome, as `report.json` has it | [`mod@outcome`], [`mod@figures`] |
 //! | errors before and after with confidence intervals | [`errors`] |
 //!
@@ -49,6 +50,7 @@ mod gates;
 mod library;
 pub mod live;
 mod moments;
+mod open;
 pub mod outcome;
 mod parts;
 pub mod reference;
@@ -76,6 +78,7 @@ pub use fold::Fold;
 pub use gates::{FoldTest, Relevance, folds, left_out, matters, relevance};
 pub use library::{Candidate, library};
 pub use moments::Columns;
+pub use open::{Answer, OpenQuestions, Question};
 pub use outcome::{Confirmation, Diagnosis, Disagreement, Effect, Fitted, JointFacts, Outcome, Verdict};
 pub use select::{Rival, Scored, Search, Selected, Step};
 pub use span::Span;
@@ -98,6 +101,8 @@ pub struct Settings {
     pub least_share_left_out: f64,
     /// What the errors on unseen runs are taken of that a delivered model is judged by.
     pub judged_by: errors::Of,
+    /// Wanted half width of the 95 % intervals of effects' parameters, as a share of their values; a wider one is an open question.
+    pub until: Option<f64>,
     /// Most steps of the selection.
     pub steps: usize,
     /// Threads to work on.
@@ -114,6 +119,7 @@ impl Default for Settings {
             least_share_of_all: 0.03,
             least_share_left_out: 0.2,
             judged_by: errors::Of::Filtered,
+            until: None,
             steps: 12,
             threads: 1,
         }

@@ -1,9 +1,16 @@
 //! The live watch: detects when the served model no longer predicts the torques, and searches for what changed.
 //!
-//! The detector checks one short stretch of samples after the other. It compares the RMS of measured minus modelled torque in the
-//! band with what it was on the motion that the model was identified from, joint by joint. Two bad stretches in a row are an alarm,
-//! which says since when and in which joint. When the model has been wrong for long enough, the search of [`mod@super::reference`] goes over that
-//! time; the last part of it takes no part in the search and judges what was found.
+//! The detector takes one short stretch of samples after the other: the mean square `m` of measured minus modelled torque in the band, joint by joint,
+//! relative to `u^2`, that of the motion that the model was identified from. For noise, `nu m / u^2` has about a chi-square distribution with `nu` degrees
+//! of freedom, which the stretches of that motion tell. The cumulative sum of the log likelihood ratios of a doubled error,
+//!
+//!   S <- max(0, S + nu/2 (m/u^2 (1 - 1/r^2) - ln r^2)),   r = 2,
+//!
+//! is an alarm at `S > h`. The mean time between false alarms of one joint is at least `e^h` stretches (Page, Biometrika 41, 1954; Lorden, Annals of
+//! Mathematical Statistics 42, 1971); `h` is set for one in [`FALSE_ALARM_S`]. The same sum of the reverse ratio says that the model holds again.
+//!
+//! The search of [`mod@super::reference`] goes over all samples since the change, again whenever there are twice as many; the last part of them takes no
+//! part in the search and judges what was found.
 
 use super::Settings;
 use super::evidence::Trial;
@@ -14,26 +21,34 @@ use plumbline_model::TorqueModel;
 use std::ops::Range;
 
 /// Length of a stretch \[s\].
-pub const STRETCH_S: f64 = 1.0;
+pub const STRETCH_S: f64 = 0.5;
 /// Time excluded at both ends of a motion because of the filters \[s\].
 pub const END_MARGIN_S: f64 = 0.4;
-/// A stretch is bad above this multiple of the usual error
-const BAD_USUAL_RATIO: f64 = 2.0;
-/// and above this multiple of the worst stretch of the identification.
-const BAD_WORST_RATIO: f64 = 1.3;
-/// Bad stretches in a row that are an alarm.
-const ALARM_STRETCHES: usize = 2;
+/// Time between two false alarms, on average, at least \[s\].
+const FALSE_ALARM_S: f64 = 10.0 * 3600.0;
+/// Error that is looked for, as a ratio to the usual one.
+const LOST_RATIO: f64 = 2.0;
+/// Mean square on a motion that was not identified from, as a ratio to that of the identification: errors of the parameters show there.
+const UNSEEN_RATIO: f64 = 1.3;
+/// Degrees of freedom of a stretch: at least, and at most 2 B T of a band of 5 Hz.
+const FREEDOM: (f64, f64) = (1.0, 10.0 * STRETCH_S);
+/// Share of the estimated degrees of freedom that is relied on: some tens of stretches tell them to a fifth.
+const RELIED_ON: f64 = 0.75;
 /// Share of the search's window that is held out to accept the changes.
 const JUDGED_RATIO: f64 = 0.25;
 /// Largest error of the worst joint with the changes, as a share of the error without them, for a proposal.
 const MAX_REMAINING_RATIO: f64 = 0.8;
+/// Largest error of a refined model on the held-out samples, as a ratio to that of the served one.
+const MAX_REFINED_RATIO: f64 = 1.02;
 
-/// Error in the band, per joint: what is usual, and from where on a stretch is bad \[Nm\].
+/// Error in the band, per joint.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Floor {
-    /// RMS on the motion that the model was identified from.
+    /// RMS on the motion that the model was identified from \[Nm\].
     pub usual: Vec<f64>,
-    /// The least that is bad.
+    /// Degrees of freedom of the mean square of a stretch.
+    pub freedom: Vec<f64>,
+    /// RMS of a stretch that is an alarm by itself \[Nm\].
     pub limit: Vec<f64>,
 }
 
@@ -44,7 +59,7 @@ pub enum News {
     Lost {
         /// Start of the first bad stretch \[s\].
         since: f64,
-        /// Joint whose error is farthest above its limit, from 0.
+        /// Joint whose error is farthest above the usual one, from 0.
         joint: usize,
         /// Its RMS \[Nm\].
         rms: f64,
@@ -53,7 +68,7 @@ pub enum News {
     },
     /// It holds again.
     Holds {
-        /// End of the last bad stretch \[s\].
+        /// Start of the first good stretch \[s\].
         since: f64,
     },
 }
@@ -62,9 +77,10 @@ pub enum News {
 #[derive(Clone, Debug)]
 pub struct Watch {
     floor: Floor,
-    /// Start of the bad stretches in a row, how many they are, and the end of the last.
-    bad: Option<(f64, usize, f64)>,
-    lost: bool,
+    /// Sum of each joint for the other state than the present one, and the start of the first stretch that it has summed \[s\].
+    sums: Vec<(f64, f64)>,
+    /// Since when the model does not hold \[s\].
+    lost: Option<f64>,
 }
 
 impl Floor {
@@ -72,61 +88,118 @@ impl Floor {
     pub fn of(model: &TorqueModel, experiment: &Experiment) -> Floor {
         let residual = residual(model, experiment);
         let inside = inside(experiment);
-        let usual = rms(&residual, inside.clone());
         let stretch = ((STRETCH_S / experiment.motion.dt) as usize).clamp(1, inside.len().max(1));
-        let mut worst = vec![0.0; experiment.joints()];
-        for first in (inside.start..(inside.end + 1).saturating_sub(stretch)).step_by(stretch) {
-            for (worst, own) in worst.iter_mut().zip(rms(&residual, first..first + stretch)) {
-                *worst = own.max(*worst);
-            }
-        }
-        let limit = usual
-            .iter()
-            .zip(&worst)
-            .map(|(usual, worst)| (BAD_USUAL_RATIO * usual).max(BAD_WORST_RATIO * worst))
-            .collect();
-        Floor { usual, limit }
+        let starts = (inside.start..(inside.end + 1).saturating_sub(stretch)).step_by(stretch);
+        let stretches: Vec<Vec<f64>> = starts.map(|first| rms(&residual, first..first + stretch)).collect();
+        Floor::from_stretches(&stretches)
     }
+
+    /// From the RMS of stretches, per joint \[Nm\].
+    pub fn from_stretches(stretches: &[Vec<f64>]) -> Floor {
+        let (count, joints) = (stretches.len().max(1) as f64, stretches.first().map_or(0, Vec::len));
+        let mean = |power: i32, joint: usize| stretches.iter().map(|rms| rms[joint].powi(power)).sum::<f64>() / count;
+        let square: Vec<f64> = (0..joints).map(|joint| mean(2, joint)).collect();
+        let freedom = |(joint, square): (usize, &f64)| {
+            let variance = mean(4, joint) - square * square;
+            (RELIED_ON * 2.0 * square * square / variance.max(f64::MIN_POSITIVE)).clamp(FREEDOM.0, FREEDOM.1)
+        };
+        let freedom: Vec<f64> = square.iter().enumerate().map(freedom).collect();
+        let usual: Vec<f64> = square.iter().map(|square| square.sqrt()).collect();
+        let limit = |(usual, freedom): (&f64, &f64)| {
+            let (gain, cost) = (1.0 - LOST_RATIO.powi(-2), 2.0 * LOST_RATIO.ln());
+            usual * (UNSEEN_RATIO * (2.0 * threshold(joints) / freedom + cost) / gain).sqrt()
+        };
+        let limit = usual.iter().zip(&freedom).map(limit).collect();
+        Floor { usual, freedom, limit }
+    }
+
+    /// Log likelihood ratio of a doubled error in a stretch with this RMS.
+    fn ratio(&self, joint: usize, rms: f64) -> f64 {
+        let square = (rms / self.usual[joint].max(f64::MIN_POSITIVE)).powi(2) / UNSEEN_RATIO;
+        0.5 * self.freedom[joint] * (square * (1.0 - LOST_RATIO.powi(-2)) - 2.0 * LOST_RATIO.ln())
+    }
+
+    /// Whether errors of a longer time are the usual ones: nearer to them than to doubled ones.
+    pub fn holds(&self, rms: &[f64]) -> bool {
+        (0..rms.len()).all(|joint| self.ratio(joint, rms[joint]) < 0.0)
+    }
+}
+
+/// Sum of log likelihood ratios that is an alarm.
+fn threshold(joints: usize) -> f64 {
+    (joints.max(1) as f64 * FALSE_ALARM_S / STRETCH_S).ln()
 }
 
 impl Watch {
     /// Before the first stretch.
     pub fn new(floor: Floor) -> Watch {
-        Watch { floor, bad: None, lost: false }
+        let sums = vec![(0.0, 0.0); floor.usual.len()];
+        Watch { floor, sums, lost: None }
     }
 
-    /// What is usual, and what is bad.
+    /// What is usual.
     pub fn floor(&self) -> &Floor {
         &self.floor
     }
 
-    /// Takes a stretch from `start` to `end` \[s\] with its RMS per joint in the band \[Nm\]; returns a change of state.
-    pub fn look(&mut self, start: f64, end: f64, rms: &[f64]) -> Option<News> {
-        let over = |joint: &usize| rms[*joint] / self.floor.limit[*joint].max(f64::MIN_POSITIVE);
-        let worst = (0..rms.len()).max_by(|a, b| over(a).total_cmp(&over(b)))?;
-        if over(&worst) < 1.0 {
-            let (was, until) = (self.lost, self.bad.map_or(start, |(_, _, until)| until));
-            (self.bad, self.lost) = (None, false);
-            return was.then_some(News::Holds { since: until });
+    /// Takes a stretch that begins at `start` \[s\] with its RMS per joint in the band \[Nm\]; returns a change of state.
+    pub fn look(&mut self, start: f64, rms: &[f64]) -> Option<News> {
+        let sign = if self.lost.is_some() { -1.0 } else { 1.0 };
+        for (joint, (sum, since)) in self.sums.iter_mut().enumerate() {
+            if *sum <= 0.0 {
+                *since = start;
+            }
+            *sum = (*sum + sign * self.floor.ratio(joint, rms[joint])).max(0.0);
         }
-        let (since, count) = self.bad.map_or((start, 1), |(since, count, _)| (since, count + 1));
-        self.bad = Some((since, count, end));
-        if self.lost || count < ALARM_STRETCHES {
+        let over = threshold(self.sums.len());
+        if self.lost.is_some() {
+            // Every joint has to hold.
+            let held = self.sums.iter().all(|(sum, _)| *sum > over);
+            let since = self.sums.iter().map(|(_, since)| *since).fold(f64::NEG_INFINITY, f64::max);
+            held.then(|| self.reset());
+            return held.then_some(News::Holds { since });
+        }
+        if !self.sums.iter().any(|(sum, _)| *sum > over) {
             return None;
         }
-        self.lost = true;
+        let since =
+            self.sums.iter().filter(|(sum, _)| *sum > over).map(|(_, since)| *since).fold(f64::INFINITY, f64::min);
+        let above = |joint: &usize| rms[*joint] / self.floor.usual[*joint].max(f64::MIN_POSITIVE);
+        let worst = (0..rms.len()).max_by(|a, b| above(a).total_cmp(&above(b)))?;
+        self.reset();
+        self.lost = Some(since);
         Some(News::Lost { since, joint: worst, rms: rms[worst], floor: self.floor.usual[worst] })
     }
 
     /// When the model stopped to hold, while it does not \[s\].
     pub fn lost_since(&self) -> Option<f64> {
-        self.bad.filter(|_| self.lost).map(|(since, ..)| since)
+        self.lost
     }
 
     /// Starts anew, under another model.
     pub fn reset(&mut self) {
-        (self.bad, self.lost) = (None, false);
+        self.sums.fill((0.0, 0.0));
+        self.lost = None;
     }
+}
+
+/// Sample at which a change came, in a residual that has it at its end: the one from which on most of the square, less half of what it is
+/// at the end, adds up, in the joint where it is largest. `usual` is the RMS without it.
+pub fn onset(residual: &DMatrix<f64>, usual: &[f64]) -> usize {
+    let count = residual.nrows();
+    let end = rms(residual, count - (count / 4).max(1)..count);
+    let over = |joint: &usize| end[*joint] / usual[*joint].max(f64::MIN_POSITIVE);
+    let Some(joint) = (0..end.len()).max_by(|a, b| over(a).total_cmp(&over(b))) else { return 0 };
+    // The low-pass spreads a step over both sides: half of it is at the step.
+    let level = (0.25 * end[joint].powi(2)).max(LOST_RATIO * usual[joint].powi(2));
+    let (mut sum, mut best) = (0.0, (0.0, count - 1));
+    for k in (0..count).rev() {
+        sum += residual[(k, joint)].powi(2).min(4.0 * level) - level;
+        if sum > best.0 {
+            best = (sum, k);
+        }
+    }
+    best.1
 }
 
 /// Changes that were found, and the model with them.
@@ -156,20 +229,33 @@ pub enum Found {
     },
 }
 
-/// Searches the time since the model was lost. `find` and `judge` are two motions of it, prepared alike.
-pub fn search(model: &TorqueModel, find: &Experiment, judge: &Experiment, settings: &Settings) -> Found {
+/// Searches the time since a model was lost. `find` and `judge` are two motions of it, prepared alike. `served` is the model that is served now: the
+/// lost one, or one with changes from fewer samples, which then are refined.
+pub fn search(
+    lost: &TorqueModel,
+    served: &TorqueModel,
+    find: &Experiment,
+    judge: &Experiment,
+    settings: &Settings,
+) -> Found {
     let trials = [Trial::alone(find)];
-    let Changes { effects, .. } = reference::changes(model, &trials, settings, &|_| {});
+    let Changes { effects, .. } = reference::changes(lost, &trials, settings, &|_| {});
     let error = |model: &TorqueModel| rms(&residual(model, judge), inside(judge));
-    let before = error(model);
-    let nothing = |tried: usize| Found::Nothing { tried, before: before.clone() };
-    let Ok(extended) = reference::extended(model, &effects) else { return nothing(effects.len()) };
+    let (before, now) = (error(lost), error(served));
+    let nothing = |tried: usize| Found::Nothing { tried, before: now.clone() };
+    let Ok(extended) = reference::extended(lost, &effects) else { return nothing(effects.len()) };
     let after = error(&extended);
     let worst = |rms: &[f64]| rms.iter().copied().fold(0.0, f64::max);
-    if effects.is_empty() || worst(&after) > MAX_REMAINING_RATIO * worst(&before) {
+    let enough = (MAX_REMAINING_RATIO * worst(&before)).min(MAX_REFINED_RATIO * worst(&now));
+    if effects.is_empty() || worst(&after) > enough {
         return nothing(effects.len());
     }
     Found::Remedy(Box::new(Remedy { changes: effects, model: extended, before, after }))
+}
+
+/// Whether a model predicts a motion with the usual errors.
+pub fn holds(model: &TorqueModel, experiment: &Experiment, floor: &Floor) -> bool {
+    floor.holds(&rms(&residual(model, experiment), inside(experiment)))
 }
 
 /// Sample that divides a window into the part to search and the held-out part.
@@ -201,37 +287,106 @@ pub fn rms(residual: &DMatrix<f64>, samples: Range<usize>) -> Vec<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use rand::{Rng, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
+    use rand_distr::StandardNormal;
 
-    fn watch() -> Watch {
-        Watch::new(Floor { usual: vec![0.02, 0.01], limit: vec![0.05, 0.04] })
+    const JOINTS: usize = 7;
+
+    /// RMS of stretches of noise with `freedom` degrees of freedom and this size, per joint.
+    fn stretch(rng: &mut ChaCha8Rng, freedom: usize, size: f64) -> Vec<f64> {
+        let square =
+            |_| (0..freedom).map(|_| rng.sample::<f64, _>(StandardNormal).powi(2)).sum::<f64>() / freedom as f64;
+        (0..JOINTS).map(square).map(|square: f64| size * square.sqrt()).collect()
+    }
+
+    fn watch(rng: &mut ChaCha8Rng, freedom: usize) -> Watch {
+        let seen: Vec<Vec<f64>> = (0..80).map(|_| stretch(rng, freedom, 0.02)).collect();
+        Watch::new(Floor::from_stretches(&seen))
     }
 
     #[test]
-    fn two_bad_stretches_in_a_row_are_an_alarm_that_says_where_and_since_when() {
-        let mut watch = watch();
-        assert_eq!(watch.look(0.0, 1.0, &[0.02, 0.01]), None);
-        // One bad stretch is no alarm.
-        assert_eq!(watch.look(1.0, 2.0, &[0.02, 0.9]), None);
-        assert_eq!(watch.look(2.0, 3.0, &[0.02, 0.01]), None);
-        assert_eq!(watch.look(3.0, 4.0, &[0.06, 0.30]), None);
-        assert_eq!(watch.lost_since(), None);
-        let news = watch.look(4.0, 5.0, &[0.06, 0.30]);
-        assert_eq!(news, Some(News::Lost { since: 3.0, joint: 1, rms: 0.30, floor: 0.01 }));
-        assert_eq!(watch.lost_since(), Some(3.0));
-        // Reported once.
-        assert_eq!(watch.look(5.0, 6.0, &[0.06, 0.30]), None);
-        assert_eq!(watch.look(6.0, 7.0, &[0.02, 0.01]), Some(News::Holds { since: 6.0 }));
-        assert_eq!((watch.lost_since(), watch.look(7.0, 8.0, &[0.02, 0.01])), (None, None));
+    fn a_hundred_hours_of_noise_are_at_most_ten_alarms() {
+        let mut rng = ChaCha8Rng::seed_from_u64(1);
+        for freedom in [2, 5] {
+            let mut alarms = 0;
+            for _ in 0..20 {
+                let mut watch = watch(&mut rng, freedom);
+                // Errors of the parameters add a tenth.
+                for k in 0..36_000 {
+                    let rms = stretch(&mut rng, freedom, 0.022);
+                    alarms += usize::from(
+                        watch.look(k as f64 * STRETCH_S, &rms).is_some_and(|news| matches!(news, News::Lost { .. })),
+                    );
+                }
+            }
+            println!("{freedom} degrees of freedom: {alarms} alarms in 100 h");
+            assert!(alarms <= 10, "{alarms} alarms in 100 h");
+        }
+    }
+
+    #[test]
+    fn a_large_error_is_an_alarm_at_once_and_a_doubled_one_in_seconds() {
+        let mut rng = ChaCha8Rng::seed_from_u64(2);
+        for (size, stretches) in [(0.5, 1), (0.08, 4), (0.05, 24)] {
+            for _ in 0..50 {
+                let mut watch = watch(&mut rng, 5);
+                (0..100).for_each(|k| assert_eq!(watch.look(k as f64 * 0.5, &stretch(&mut rng, 5, 0.02)), None));
+                let mut needed = 0;
+                let news = loop {
+                    let mut rms = stretch(&mut rng, 5, 0.02);
+                    rms[3] = stretch(&mut rng, 5, size)[3];
+                    needed += 1;
+                    if let Some(news) = watch.look(50.0 + 0.5 * (needed - 1) as f64, &rms) {
+                        break news;
+                    }
+                    assert!(needed <= stretches, "{size}");
+                };
+                let News::Lost { since, joint, floor, .. } = news else { panic!("{news:?}") };
+                assert!(needed <= stretches && joint == 3 && (floor - 0.02).abs() < 0.01, "{news:?} after {needed}");
+                assert!((since - 50.0).abs() <= 0.5 * needed as f64 && watch.lost_since() == Some(since), "{news:?}");
+                // Reported once; it holds again after some seconds, and once.
+                let mut again = 0;
+                for k in 0..200 {
+                    let rms = stretch(&mut rng, 5, if k < 40 { 0.1 } else { 0.02 });
+                    match watch.look(100.0 + 0.5 * k as f64, &rms) {
+                        Some(News::Holds { since }) => {
+                            assert!(k >= 42 && since >= 119.0 && watch.lost_since().is_none(), "{k} {since}");
+                            again += 1;
+                        }
+                        other => assert_eq!(other, None),
+                    }
+                }
+                assert_eq!(again, 1);
+            }
+        }
     }
 
     #[test]
     fn another_model_starts_anew() {
-        let mut watch = watch();
-        watch.look(0.0, 1.0, &[1.0, 1.0]);
-        watch.look(1.0, 2.0, &[1.0, 1.0]);
-        assert!(watch.lost_since().is_some());
+        let mut watch = watch(&mut ChaCha8Rng::seed_from_u64(3), 5);
+        assert!(watch.look(0.0, &[1.0; JOINTS]).is_some() && watch.lost_since().is_some());
         watch.reset();
-        assert_eq!((watch.lost_since(), watch.look(2.0, 3.0, &[1.0, 1.0])), (None, None));
+        assert_eq!((watch.lost_since(), watch.look(2.0, &[0.01; JOINTS])), (None, None));
+    }
+
+    #[test]
+    fn the_onset_is_where_the_residual_begins() {
+        let mut rng = ChaCha8Rng::seed_from_u64(4);
+        for size in [0.08, 0.5, 5.0] {
+            for at in [300, 1200, 1700] {
+                // A step of a swinging torque, after a low-pass of 0.1 s.
+                let value = |k: usize| {
+                    let rise = (0.5 + (k as f64 - at as f64) / 100.0).clamp(0.0, 1.0);
+                    rise * size * (1.0 + 0.5 * (k as f64 * 0.006).sin())
+                };
+                let residual = DMatrix::from_fn(2000, 2, |k, j| {
+                    0.02 * rng.sample::<f64, _>(StandardNormal) + if j == 1 { value(k) } else { 0.0 }
+                });
+                let found = onset(&residual, &[0.02, 0.02]);
+                assert!(found.abs_diff(at) <= 60, "{size}: {found}, not {at}");
+            }
+        }
     }
 
     #[test]

@@ -459,7 +459,12 @@ impl<'a> Search<'a> {
                 continue;
             }
             let mut rivals: Vec<Rival> = Vec::new();
-            for other in others.iter().filter(|other| other.score > 0.0 && !other.item.same_effect(&chosen)) {
+            // The same effect since another time is no other explanation.
+            let itself = |other: &Candidate| {
+                let of = |one: &Candidate| (one.spec.family, one.spec.site);
+                of(other) == of(&chosen) && (chosen.span.is_all() || other.same_effect(&chosen))
+            };
+            for other in others.iter().filter(|other| other.score > 0.0 && !itself(&other.item)) {
                 let gap = own.score - other.score;
                 let listed = rivals.iter().any(|rival| rival.item.same_effect(&other.item));
                 if gap < MAX_RIVAL_SCORE_GAP && !listed && (gap > 0.0 || self.passes(&rest, other)) {

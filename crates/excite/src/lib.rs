@@ -6,7 +6,7 @@
 //! | limits of joints, workspace, self-collision, torques | [`Bounds`], [`verify`], [`check_pose`] |
 //! | the rules of the loop's guard | [`check_points_with_guard`] |
 //! | condition numbers and information | [`Criterion`], [`evaluate`], [`check_excitation`] |
-//! | search | [`Problem`], [`Search`], [`optimise`], [`random_plan`] |
+//! | search | [`Problem`], [`Search`], [`optimise`], [`best_by_score`], [`random_plan`] |
 //! | plan file | [`Plan`], [`parse_plan`], [`plan_text`] |
 //!
 //! ```
@@ -33,6 +33,7 @@ mod limits;
 mod nominal;
 mod optimiser;
 mod plan;
+mod scored;
 mod search;
 mod usage;
 
@@ -45,6 +46,7 @@ pub use optimiser::grid::Grid;
 pub use optimiser::objective::{Objective, Smoothing};
 pub use optimiser::optimise;
 pub use plan::{Constraints, Plan, PlanUsage, parse_plan, plan_text};
+pub use scored::best_by_score;
 pub use search::{
     Problem, Progress, Search, SearchControl, motion_samples, random_plan, stacked_conditions, verify_with_guard,
 };

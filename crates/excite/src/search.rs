@@ -281,6 +281,12 @@ pub(super) fn shrink(mut fourier: Fourier, check: impl Fn(&Fourier) -> Check) ->
     }
 }
 
+/// A motion scaled down until it is feasible at 1 kHz. The coarse grid comes first: the check at 1 kHz is the most expensive.
+pub(super) fn shrunk(problem: &Problem, fourier: Fourier, samples: usize) -> Result<Fourier, ExciteError> {
+    shrink(fourier, |fourier| coarse(problem, fourier, samples))
+        .and_then(|fourier| shrink(fourier, |fourier| verify_with_guard(problem, fourier)))
+}
+
 /// Largest factor by which joint `j` can be scaled within its range, speed, acceleration and jerk.
 fn room(problem: &Problem, fourier: &Fourier, j: usize, samples: usize) -> f64 {
     let (bounds, limits, margins) = (&problem.bounds, problem.bounds.limits, &problem.bounds.margins);
@@ -380,6 +386,6 @@ pub(super) fn plan_of(problem: &Problem, search: &Search, fourier: Fourier) -> R
     })
 }
 
-fn normal(rng: &mut ChaCha8Rng) -> f64 {
+pub(super) fn normal(rng: &mut ChaCha8Rng) -> f64 {
     StandardNormal.sample(rng)
 }

@@ -40,6 +40,13 @@ pub enum Request {
         /// Reason of the proposal.
         proposal: Proposal,
     },
+    /// Mark the torque of the served model as doubtful, because the measured torques contradict it, or trust it again.
+    Doubt {
+        /// Identity of the model.
+        model: u64,
+        /// How they contradict it; absent to trust it again.
+        why: Option<String>,
+    },
     /// Serve the held model.
     Adopt {},
     /// Discard the held model.
@@ -64,6 +71,7 @@ impl Request {
             Request::Quit {} => "quit",
             Request::OfferModel { .. } => "offer-model",
             Request::ProposeModel { .. } => "propose-model",
+            Request::Doubt { .. } => "doubt",
             Request::Adopt {} => "adopt",
             Request::Reject {} => "reject",
             Request::Record {} => "record",
@@ -157,6 +165,9 @@ pub struct Status {
     pub dropped_records: u64,
     /// Identity of the served model, 0 while there is none.
     pub model: u64,
+    /// Why the served torque is doubtful; absent while it is trusted.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub doubt: Option<String>,
     /// Proposed model that is held for `adopt` or `reject`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub offered: Option<HeldModel>,
@@ -399,6 +410,8 @@ mod tests {
             Request::Quit {},
             Request::OfferModel { toml: toml.clone() },
             Request::ProposeModel { toml, proposal: Proposal { what: "payload".into(), ..Proposal::default() } },
+            Request::Doubt { model: 7, why: Some("joint 3".into()) },
+            Request::Doubt { model: u64::MAX, why: None },
             Request::Adopt {},
             Request::Reject {},
         ] {

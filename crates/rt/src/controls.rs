@@ -21,6 +21,8 @@ pub struct Controls {
     dropped_records: AtomicU64,
     /// Heartbeats of the supervisor: it takes the loop's events and can stop it.
     heartbeats: AtomicU64,
+    /// Identity of the model that the measured torques contradict, 0 for none.
+    doubted: AtomicU64,
 }
 
 impl Controls {
@@ -33,6 +35,11 @@ impl Controls {
     /// One heartbeat of the supervisor; see [`CycleSettings::heartbeat_timeout`](super::settings::CycleSettings::heartbeat_timeout).
     pub fn heartbeat(&self) {
         self.heartbeats.fetch_add(1, Ordering::Relaxed);
+    }
+
+    /// Marks the torque of the model with this identity as [`Validity::Doubtful`](plumbline_core::Validity::Doubtful); 0 for no model.
+    pub fn doubt(&self, model: u64) {
+        self.doubted.store(model, Ordering::Relaxed);
     }
 
     /// Ends the loop: at once when the arm rests, after a controlled stop when it moves.
@@ -93,6 +100,11 @@ impl Controls {
     #[cfg_attr(no_panic, no_panic::no_panic)]
     pub fn heartbeats(&self) -> u64 {
         self.heartbeats.load(Ordering::Relaxed)
+    }
+
+    #[cfg_attr(no_panic, no_panic::no_panic)]
+    pub(crate) fn doubts(&self, model: u64) -> bool {
+        self.doubted.load(Ordering::Relaxed) == model
     }
 
     #[cfg_attr(no_panic, no_panic::no_panic)]

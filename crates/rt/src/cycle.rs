@@ -247,7 +247,9 @@ impl<B: Backend, S: Sink> Cycle<B, S> {
         let written = self.backend.write(&command);
         self.motion.sent(&command.desired);
         self.torque.sent(&answer);
-        self.record(state, command, answer.validity, stamp_ns);
+        let doubtful = answer.validity == Validity::Valid && self.inlets.controls.doubts(self.torque.id());
+        let validity = if doubtful { Validity::Doubtful } else { answer.validity };
+        self.record(state, command, validity, stamp_ns);
         self.unanswered = None;
         written.map_err(End::Fault)
     }

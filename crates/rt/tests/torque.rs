@@ -115,6 +115,27 @@ fn a_hand_over_during_a_motion_is_rate_limited_and_ends_at_the_new_models_torque
 }
 
 #[test]
+fn the_torque_of_a_doubted_model_is_marked_until_it_is_trusted_or_another_serves() {
+    use Validity::{Doubtful, HandOver, Valid};
+    let run = Job::new(3_000)
+        .order(follow(1, Wave { ticks: 2_501, ..Wave::gentle() }))
+        .outside(0, hand_over(heavy(1, -12.0)))
+        .outside(500, |handles| handles.controls.doubt(1))
+        .outside(700, |handles| handles.controls.doubt(0))
+        .outside(900, |handles| handles.controls.doubt(1))
+        .outside(1_000, hand_over(heavy(2, 70.0)))
+        .run();
+    run.assert_sound();
+    let expected = [(1, Valid), (1, Doubtful), (1, Valid), (1, Doubtful), (2, HandOver), (2, Valid)];
+    assert_eq!(validities(&run), expected);
+    // A mark and nothing else: the torque is the model's.
+    let mut model = heavy(1, -12.0);
+    for record in run.records.iter().filter(|record| record.validity == Doubtful) {
+        assert_eq!(record.command.tau_ff, model.torque(&record.command.desired));
+    }
+}
+
+#[test]
 fn the_first_model_and_the_withdrawal_cause_no_jump() {
     use Validity::{HandOver, None, Valid, Withdrawn};
     let zero = |_: &Setpoint| JointVec::default();

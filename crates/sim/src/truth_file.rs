@@ -77,8 +77,7 @@ impl TruthFile {
 }
 
 /// The arm that `file` names as its base.
-// Before the arm is built, far from the loop.
-#[allow(clippy::disallowed_methods)]
+#[expect(clippy::disallowed_methods, reason = "reads an arm file, before the loop")]
 fn base_of(file: &str, base: &Path) -> Result<Truth, BadInput> {
     let path = Path::new(file).parent().unwrap_or(Path::new("")).join(base);
     let name = path.display().to_string();

@@ -19,7 +19,7 @@ import iceoryx2 as iox2
 MAX_JOINTS = 8
 PHASES = ("hold", "approach", "excite", "return", "stop", "stopped")
 # None: no model has served yet. Withdrawn: none serves any more, and the torque is on its way to zero, or there.
-VALIDITIES = ("NO MODEL", "", "HAND-OVER", "WITHDRAWN")
+VALIDITIES = ("NO MODEL", "", "HAND-OVER", "WITHDRAWN", "DOUBTFUL")
 
 
 class FeedForwardMessage(ctypes.Structure):

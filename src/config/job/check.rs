@@ -68,6 +68,17 @@ pub(super) fn check(job: &Job) -> Result<(), BadInput> {
     if let Some(threshold) = job.diagnosis.threshold.filter(|value| !(value.is_finite() && *value > 0.0)) {
         return bad("diagnosis.threshold", &threshold, "a torque in Nm, more than 0");
     }
+    if job.diagnosis.rounds > 10 {
+        return bad("diagnosis.rounds", &job.diagnosis.rounds, "0 to 10");
+    }
+    if job.diagnosis.rounds > 0 && !(job.diagnosis.enabled && job.output.dataset) {
+        let expected =
+            "0 without `diagnosis.enabled` and `output.dataset`: a round is diagnosed with the runs of those before";
+        return bad("diagnosis.rounds", &job.diagnosis.rounds, expected);
+    }
+    if let Some(until) = job.diagnosis.until.filter(|until| !(1e-4..=1.0).contains(until)) {
+        return bad("diagnosis.until", &until, "a share of the parameters' values, 0.0001 to 1");
+    }
     let validation = &job.validation;
     if validation.trajectories > 100 {
         return bad("validation.trajectories", &validation.trajectories, "0 to 100");
@@ -158,8 +169,8 @@ pub(super) fn check(job: &Job) -> Result<(), BadInput> {
         return bad("safety.model-timeout", &format!("{} s", job.safety.model_timeout), "1 s to 86400 s");
     }
     let live = &job.live;
-    if !(4.0..=600.0).contains(&live.window) {
-        return bad("live.window", &format!("{} s", live.window), "4 s to 600 s");
+    if !(2.0..=60.0).contains(&live.window) {
+        return bad("live.window", &format!("{} s", live.window), "2 s to 60 s");
     }
     if !(0.0..=86_400.0).contains(&live.motion) {
         return bad("live.motion", &format!("{} s", live.motion), "0 s to 86400 s");

@@ -151,6 +151,28 @@ fn a_proposed_model_is_served_when_a_person_adopts_it_or_the_job_says_so() {
 }
 
 #[test]
+fn the_served_model_is_doubted_until_it_holds_again_or_another_is_served() {
+    let (mut state, _place) = new_state();
+    let doubt = |state: &mut DaemonState, model: u64, why: Option<&str>| {
+        ask(state, Request::Doubt { model, why: why.map(String::from) })
+    };
+    assert!(refusal(doubt(&mut state, 0, Some("joint 3"))).contains("is not served"));
+    let first = offered(&mut state, another(1));
+    assert!(refusal(doubt(&mut state, first + 1, Some("joint 3"))).contains("is not served"));
+    assert_eq!((state.models.doubted(), state.status(&Served::default(), None).doubt), (0, None));
+    assert_eq!(doubt(&mut state, first, Some("joint 3")), Response::Accepted {});
+    assert_eq!((state.models.doubted(), state.status(&Served::default(), None).doubt), (first, Some("joint 3".into())));
+    // What was proposed for a change that has gone again is no proposal any more.
+    proposed(&mut state, another(2));
+    assert!(state.models.offer().is_some());
+    assert_eq!(doubt(&mut state, first, None), Response::Accepted {});
+    assert_eq!((state.models.doubted(), state.models.offer().is_none()), (0, true));
+    doubt(&mut state, first, Some("joint 3"));
+    offered(&mut state, another(3));
+    assert_eq!((state.models.doubted(), state.status(&Served::default(), None).doubt), (0, None));
+}
+
+#[test]
 fn what_the_arm_measured_last_refuses_a_model_unless_the_trusted_one_is_as_wrong() {
     // 12 Nm in joint 2 that no model explains.
     let measured = |state: &mut DaemonState| {

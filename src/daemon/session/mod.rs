@@ -162,6 +162,7 @@ impl Session {
     fn answer_requests(&mut self, daemon: &mut Daemon) {
         let waited = self.handles.controls.is_waiting();
         daemon.answer_requests(Some(&self.handles.controls));
+        self.handles.controls.doubt(daemon.state.models.doubted());
         if waited && !self.handles.controls.is_waiting() {
             // The loop takes its permission with its next state.
             self.open_gate();
@@ -365,7 +366,9 @@ impl Session {
         }
     }
 
-    fn open_gate(&self) {
+    /// Lets simulated time go on, also where it had been paused for the watch: it is paused again where that is still behind.
+    fn open_gate(&mut self) {
+        self.paused = false;
         self.gate.iter().for_each(|gate| gate.open());
     }
 

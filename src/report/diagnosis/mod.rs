@@ -9,6 +9,6 @@ pub(super) use page::{TEMPLATES, context};
 pub use plumbline_diagnose::errors::Errors;
 pub use plumbline_diagnose::outcome::{
     Action, Alternative, BeforeAfter, Changes, Confirmation, Diagnosis, Effect, Folds, JointFacts, MinimumDetectable,
-    NotIdentifiable, Parameters, Quality, Quantity, Score, Step, Stratum, Unexplained, Verdict,
+    NotIdentifiable, Open, OpenKind, Parameters, Quality, Quantity, Score, Step, Stratum, Unexplained, Verdict,
 };
-pub(super) use words::lines;
+pub(super) use words::{lines, name, open_question};

@@ -51,6 +51,7 @@ pub(in crate::report) fn context(of: &Diagnosis, figures: &Curves) -> Value {
         equivalent => of.scores.iter().take(DRAWN).any(|score| score.equivalent),
         unmodelled => plotted(rows::dumbbells(&unmodelled(of, grown), "unmodelled RMS of the mean period / Nm")),
         path => plotted(path(of)),
+        open => words::open(of).collect::<Vec<_>>(),
         unexplained => of.unexplained.iter().map(words::unexplained).collect::<Vec<_>>(),
         dependences => against(&figures.dependences),
         maps => maps(figures),
@@ -64,7 +65,7 @@ pub(in crate::report) fn context(of: &Diagnosis, figures: &Curves) -> Value {
 fn tone(verdict: Verdict) -> &'static str {
     match verdict {
         Verdict::NothingSignificant | Verdict::Diagnosed => "good",
-        Verdict::Ambiguous | Verdict::Partly => "warn",
+        Verdict::NotDetermined | Verdict::Ambiguous | Verdict::Partly => "warn",
         Verdict::Unexplained => "bad",
     }
 }

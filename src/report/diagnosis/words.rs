@@ -1,6 +1,8 @@
 //! A diagnosis in plain words.
 
-use super::{Changes, Confirmation, Diagnosis, Effect, Errors, Quantity, Stratum, Unexplained, Verdict};
+use super::{
+    Changes, Confirmation, Diagnosis, Effect, Errors, Open, OpenKind, Quantity, Stratum, Unexplained, Verdict,
+};
 use crate::report::Band;
 use crate::report::summary::{CHANGED, band_of, digits};
 use plumbline_diagnose::outcome::{listed, places};
@@ -19,6 +21,7 @@ pub(in crate::report) fn lines(of: &Diagnosis) -> Vec<String> {
     let mut lines = vec![format!("diagnosis: {verdict}")];
     lines.extend(findings.iter().map(|finding| format!("- {finding}")));
     errors(of, &mut lines);
+    lines.extend(open(of).map(|question| format!("open: {question}")));
     lines.extend(of.notes.iter().map(|note| format!("note: {note}")));
     lines
 }
@@ -136,7 +139,7 @@ pub(super) fn placed(id: &str, joints: &[usize]) -> String {
 }
 
 /// The name of an effect: `presliding in joint 4`, `mounting since session 2`, `payload since 10.1 s of run_3.csv`, or its own label.
-pub(super) fn name(effect: &Effect) -> String {
+pub(in crate::report) fn name(effect: &Effect) -> String {
     if !effect.label.is_empty() {
         return effect.label.clone();
     }
@@ -197,6 +200,24 @@ fn rivals(effect: &Effect) -> String {
         text += &format!("; to decide: {}", experiments.join("; or "));
     }
     text
+}
+
+/// What the recorded runs leave open where a motion is planned for it; what the verdict says is not repeated elsewhere.
+pub(super) fn open(of: &Diagnosis) -> impl Iterator<Item = String> {
+    of.open.iter().filter(|open| open.expected.is_some()).map(open_question)
+}
+
+/// What the recorded runs leave open, and what the planned motion is expected to answer.
+pub(in crate::report) fn open_question(open: &Open) -> String {
+    let Open { question, kind, now, wanted, expected } = open;
+    let what = match kind {
+        OpenKind::Rivals => "score difference",
+        OpenKind::Interval => "half width of the 95 % interval",
+        OpenKind::Parameters => "deviations, relative to the recorded runs'",
+    };
+    let expected =
+        expected.map_or(String::new(), |expected| format!(", expected with the planned motion {}", digits(expected)));
+    format!("{question}: {what} {}{expected} ({} answers it)", digits(*now), digits(*wanted))
 }
 
 /// What stays unexplained in a joint, in one sentence.

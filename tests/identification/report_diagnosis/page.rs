@@ -184,6 +184,20 @@ fn pages_of_much_little_and_odd_content() {
     assert!(open.contains("<span>Partly explained</span>: 5 effects, 1 joint unexplained"));
     assert!(open.contains("joint 2 has 0.110 Nm beyond its noise") && open.contains("orange up to 0.110 Nm"));
 
+    let mut asked = five();
+    let question = "presliding in joint 4, or stribeck in joint 4".to_string();
+    let open = Open { question, kind: OpenKind::Rivals, now: 5.1, wanted: 24.0, expected: None };
+    asked.open = vec![open.clone()];
+    assert!(!page("open", &report(asked.clone()), figures()).contains("<h3>Open</h3>"));
+    asked.open = vec![Open { expected: Some(61.0), ..open }];
+    let sentence = "presliding in joint 4, or stribeck in joint 4: score difference 5.10, expected with the planned motion 61.0 (24.0 answers it)";
+    let asked = Report { rounds: vec![Round::of(&asked)], ..report(asked) };
+    assert!(asked.summary().iter().any(|line| *line == format!("open: {sentence}")), "{:#?}", asked.summary());
+    assert!(asked.summary().iter().any(|line| line.starts_with("round 1: ambiguous: ")
+        && line.contains("; RMS on unseen runs [Nm]: ")
+        && line.ends_with(&format!("; open: {sentence}"))));
+    assert!(page("asked", &asked, figures()).contains(&format!("<li>{sentence}.</li>")));
+
     let mut lost = diagnosed();
     (lost.verdict, lost.effects, lost.unexplained) = (Verdict::Unexplained, Vec::new(), vec![unexplained()]);
     let lost = page("unexplained", &report(lost), figures());

@@ -27,7 +27,7 @@ impl Changing {
             || lines.iter().any(|(line, _)| matters(&line.rms))
             || self.steps.iter().any(|step| matters(&step.rms));
         diagnosis.verdict = match (diagnosis.verdict, significant) {
-            (Verdict::NothingSignificant, true) => Verdict::Diagnosed,
+            (Verdict::NothingSignificant | Verdict::NotDetermined, true) => Verdict::Diagnosed,
             (Verdict::Unexplained, true) => Verdict::Partly,
             (verdict, _) => verdict,
         };

@@ -12,6 +12,7 @@ pub use plumbline_model::term::effect::{Quantity, Stratum};
 use super::errors::{Band, Compared, Errors};
 use super::fallback::Residual;
 use super::figures::Curves;
+use super::open::OpenQuestions;
 use plumbline_identify::solve::Identification;
 use plumbline_model::Structure;
 use plumbline_model::term::effect::Site;
@@ -28,6 +29,8 @@ const LACK_OF_FIT_RATIO: f64 = 1.3;
 pub enum Verdict {
     /// No joint has a residual that its noise does not explain.
     NothingSignificant,
+    /// The same in the identified runs, but an unseen run has one that only the errors of the parameters explain: the runs do not determine the model.
+    NotDetermined,
     /// The effects that were found explain the residual, each without a rival.
     Diagnosed,
     /// They explain it, but this data can't tell some of them from an alternative.
@@ -44,6 +47,7 @@ impl Verdict {
     pub fn id(self) -> &'static str {
         match self {
             Verdict::NothingSignificant => "nothing-significant",
+            Verdict::NotDetermined => "not-determined",
             Verdict::Diagnosed => "diagnosed",
             Verdict::Ambiguous => "ambiguous",
             Verdict::Partly => "partly",
@@ -56,6 +60,7 @@ impl fmt::Display for Verdict {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
             Verdict::NothingSignificant => "nothing significant",
+            Verdict::NotDetermined => "not determined",
             Verdict::Diagnosed => "diagnosed",
             Verdict::Ambiguous => "ambiguous",
             Verdict::Partly => "partly explained",
@@ -140,8 +145,14 @@ pub struct Diagnosis {
     /// Unseen runs that the delivered model predicts worse than the runs it was identified from: something differs between them.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub disagreements: Vec<Disagreement>,
+    /// Unseen runs that it predicts worse than that, but no worse than the errors of its parameters explain.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub undetermined: Vec<Disagreement>,
     /// By effect id: the least that would have been seen, so that "nothing" is a number.
     pub minimum_detectable: BTreeMap<String, MinimumDetectable>,
+    /// What the recorded runs leave open.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub open: Vec<Open>,
     /// Effects that this data can't tell from the base parameters.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub not_identifiable: Vec<NotIdentifiable>,
@@ -218,6 +229,36 @@ pub struct MinimumDetectable {
     /// Unit of that parameter.
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub unit: String,
+}
+
+/// A question that the recorded runs leave open.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Open {
+    /// What is asked: `presliding in joint 4, or stribeck in joint 4`.
+    pub question: String,
+    /// What `now`, `wanted` and `expected` are.
+    pub kind: OpenKind,
+    /// From the recorded runs.
+    pub now: f64,
+    /// What answers the question.
+    pub wanted: f64,
+    /// To expect once the planned motion was driven, too.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub expected: Option<f64>,
+}
+
+/// Kind of an open question, and what is measured.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum OpenKind {
+    /// Which of two effects acts: score difference, more is better.
+    Rivals,
+    /// A parameter's interval is wider than wanted: half width of the 95 % interval, less is better.
+    Interval,
+    /// What stays unexplained or undetermined: standard deviations of the model's parameters, as a ratio to those of the recorded runs, less is
+    /// better.
+    #[default]
+    Parameters,
 }
 
 /// An effect that the base parameters absorb.
@@ -446,4 +487,6 @@ pub struct Outcome {
     pub residuals: Vec<Residual>,
     /// Curves for people to look at.
     pub curves: Curves,
+    /// What the recorded runs leave open.
+    pub open: OpenQuestions,
 }

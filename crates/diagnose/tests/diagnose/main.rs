@@ -5,5 +5,6 @@ mod compare;
 mod delivery;
 mod fallback;
 mod gates;
+mod open;
 mod selection;
 mod sketch;

@@ -225,7 +225,9 @@ fn requests_get_responses_and_malformed_ones_are_refused() {
                 Request::Start {} | Request::Stop {} | Request::Adopt {} | Request::Reject {} | Request::Record {} => {
                     Response::Accepted {}
                 }
-                Request::ProposeModel { .. } => Response::Refused { reason: "not expected".into() },
+                Request::ProposeModel { .. } | Request::Doubt { .. } => {
+                    Response::Refused { reason: "not expected".into() }
+                }
                 Request::Quit {} => {
                     quit = true;
                     Response::Accepted {}

@@ -1,26 +1,27 @@
-//! An effect that begins at a given time.
+//! An effect that acts in a part of the time.
 
 use super::{At, Effect, External, Reading, sign};
 use crate::spatial::Inertia;
 use crate::truth::Truth;
 use nalgebra::Vector3;
 use plumbline_core::{JointVec, MAX_JOINTS};
+use std::ops::Range;
 
-/// Disables an effect until `from` \[s\].
+/// Disables an effect outside `during` \[s\].
 pub(super) struct Onset {
-    from: f64,
+    during: Range<f64>,
     effect: Box<dyn Effect>,
-    /// Coulomb friction that the effect replaces from then on \[Nm\].
+    /// Coulomb friction that the effect replaces then \[Nm\].
     replaced_fc: JointVec,
 }
 
 impl Onset {
-    pub fn new(effect: Box<dyn Effect>, from: f64, truth: &Truth) -> Onset {
+    pub fn new(effect: Box<dyn Effect>, during: Range<f64>, truth: &Truth) -> Onset {
         let mut replaced_fc = [0.0; MAX_JOINTS];
         for (j, joint) in truth.joints.iter().enumerate().filter(|(j, _)| effect.replaces_coulomb(*j)) {
             replaced_fc[j] = joint.fc;
         }
-        Onset { from, effect, replaced_fc }
+        Onset { during, effect, replaced_fc }
     }
 }
 
@@ -42,15 +43,15 @@ impl Effect for Onset {
     }
 
     fn inertia(&self, t: f64) -> Option<(usize, Inertia)> {
-        if t >= self.from { self.effect.inertia(t) } else { None }
+        if self.during.contains(&t) { self.effect.inertia(t) } else { None }
     }
 
     fn armature(&self, t: f64, joint: usize) -> f64 {
-        if t >= self.from { self.effect.armature(t, joint) } else { 0.0 }
+        if self.during.contains(&t) { self.effect.armature(t, joint) } else { 0.0 }
     }
 
     fn gravity(&self, t: f64, gravity: &mut Vector3<f64>) {
-        if t >= self.from {
+        if self.during.contains(&t) {
             self.effect.gravity(t, gravity);
         }
     }
@@ -60,7 +61,7 @@ impl Effect for Onset {
     }
 
     fn torque(&self, at: &At, x: &[f64], dx: &mut [f64], tau: &mut JointVec) {
-        if at.t >= self.from {
+        if self.during.contains(&at.t) {
             return self.effect.torque(at, x, dx, tau);
         }
         for (j, fc) in self.replaced_fc.iter().enumerate() {
@@ -69,17 +70,17 @@ impl Effect for Onset {
     }
 
     fn wrench(&self, at: &At) -> Option<External> {
-        if at.t >= self.from { self.effect.wrench(at) } else { None }
+        if self.during.contains(&at.t) { self.effect.wrench(at) } else { None }
     }
 
     fn encoder(&self, at: &At, x: &[f64], dx: &mut [f64], q: &mut JointVec, dq: &mut JointVec) {
-        if at.t >= self.from {
+        if self.during.contains(&at.t) {
             self.effect.encoder(at, x, dx, q, dq);
         }
     }
 
     fn sense(&mut self, at: &At, reading: &mut Reading) {
-        if at.t >= self.from {
+        if self.during.contains(&at.t) {
             self.effect.sense(at, reading);
         }
     }

@@ -4,6 +4,7 @@ use super::onset::Onset;
 use super::*;
 use serde::de::Error;
 use serde::{Deserialize, Deserializer};
+use std::cmp::Ordering;
 
 /// The catalogue: an enum to deserialise, its ids, and the module of each effect.
 macro_rules! catalogue {
@@ -100,13 +101,15 @@ catalogue! {
 pub struct EffectSpec {
     /// When it begins; 0 for an effect that is always there \[s\].
     pub from: f64,
+    /// When it ends; infinity for one that stays \[s\].
+    pub until: f64,
     /// Kind and parameters.
     pub kind: Kind,
 }
 
 impl From<Kind> for EffectSpec {
     fn from(kind: Kind) -> EffectSpec {
-        EffectSpec { from: 0.0, kind }
+        EffectSpec { from: 0.0, until: f64::INFINITY, kind }
     }
 }
 
@@ -116,6 +119,9 @@ impl EffectSpec {
     pub(crate) fn check(&self, file: &str, name: &str, truth: &Truth) -> Result<(), BadInput> {
         let place = Place { file, name, truth, from: self.from };
         place.range("from", self.from, 0.0, 1e9)?;
+        if self.until.partial_cmp(&self.from) != Some(Ordering::Greater) {
+            return Err(place.wrong("until", self.until, "a time after `from` [s]"));
+        }
         self.kind.spec().check(&place)
     }
 
@@ -126,19 +132,24 @@ impl EffectSpec {
 
     pub(crate) fn build(&self, truth: &Truth) -> Box<dyn Effect> {
         let effect = self.kind.spec().build(truth, self.from);
-        if self.from > 0.0 { Box::new(Onset::new(effect, self.from, truth)) } else { effect }
+        let always = self.from <= 0.0 && self.until == f64::INFINITY;
+        if always { effect } else { Box::new(Onset::new(effect, self.from..self.until, truth)) }
     }
 }
 
-/// `from` belongs to every effect; the rest of the table is the effect's own, and may hold no unknown key.
+/// `from` and `until` belong to every effect; the rest of the table is the effect's own, and may hold no unknown key.
 impl<'de> Deserialize<'de> for EffectSpec {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<EffectSpec, D::Error> {
         let mut table = toml::Table::deserialize(deserializer)?;
         let id = table.get("id").map_or("?".into(), ToString::to_string);
-        let from = table.remove("from").map_or(Ok(0.0), |value| {
-            let found = value.to_string();
-            f64::deserialize(value).map_err(|_| D::Error::custom(format!("a time in s for key `from`, not {found}")))
-        })?;
+        let mut time = |key: &str, absent: f64| {
+            table.remove(key).map_or(Ok(absent), |value| {
+                let found = value.to_string();
+                f64::deserialize(value)
+                    .map_err(|_| D::Error::custom(format!("a time in s for key `{key}`, not {found}")))
+            })
+        };
+        let (from, until) = (time("from", 0.0)?, time("until", f64::INFINITY)?);
         let kind = Kind::deserialize(table).map_err(|error| {
             // From serde's message: a missing or unknown key, or the value of a wrong type.
             let message = error.message();
@@ -149,6 +160,6 @@ impl<'de> Deserialize<'de> for EffectSpec {
                 _ => message.to_string(),
             })
         })?;
-        Ok(EffectSpec { from, kind })
+        Ok(EffectSpec { from, until, kind })
     }
 }

@@ -5,5 +5,5 @@ mod errors;
 mod left_out;
 mod outcome;
 mod search;
-mod synthetic;
+pub mod synthetic;
 mod whole;

@@ -2,7 +2,7 @@
 
 use super::synthetic::{At, FLOOR, Recorded, once, recorded, scaled};
 use plumbline_diagnose::errors::Of;
-use plumbline_diagnose::outcome::{Outcome, Verdict};
+use plumbline_diagnose::outcome::{Diagnosis, OpenKind, Outcome, Verdict};
 use plumbline_diagnose::{Input, Settings, diagnose};
 use plumbline_identify::solve;
 
@@ -53,6 +53,11 @@ fn what_came_in_a_later_trajectory_acts_until_the_runs_that_do_not_have_it() {
         let [effect] = &outcome.diagnosis.effects[..] else { panic!("{:?}", outcome.diagnosis.effects) };
         let acts = effect.acts.as_ref().unwrap_or_else(|| panic!("{effect:?}"));
         assert_eq!((effect.id.as_str(), acts.run.as_str(), acts.from), ("torque-offset", "trajectory 3", 0.0));
+        // The same effect in the whole recording is another candidate.
+        let chosen: Vec<&str> =
+            outcome.diagnosis.scores.iter().filter(|one| one.chosen).map(|one| one.label.as_str()).collect();
+        let labels: Vec<&str> = outcome.diagnosis.scores.iter().map(|one| one.label.as_str()).collect();
+        assert_eq!(chosen, ["torque-offset in joint 2 since trajectory 3"], "{labels:?}");
         assert_eq!((acts.to_end_of_recording, effect.in_model), (still_there, false));
         assert!(outcome.diagnosis.disagreements.is_empty(), "{:?}", outcome.diagnosis.disagreements);
     }
@@ -67,6 +72,27 @@ fn a_run_that_differs_is_never_nothing_significant() {
     let [one] = &other.disagreements[..] else { panic!("{:?}", other.disagreements) };
     assert_eq!((other.verdict, other.unexplained.len()), (Verdict::Unexplained, 0));
     assert!(one.run == "trajectory 2" && one.joint == 2 && (one.rms - 1.0).abs() < 0.1, "{one:?}");
+}
+
+#[test]
+fn where_errors_of_the_parameters_explain_an_unseen_run_nothing_is_determined() {
+    let nothing = |_: &At| [0.0; 2];
+    let (small, wide) = (scaled(&[0.1, 0.1], 111, nothing), scaled(&[3.0, 3.0], 112, nothing));
+    let outcome = judged(&small, &wide, Of::Filtered);
+    let Diagnosis { verdict, effects, disagreements, undetermined, open, notes, .. } = outcome.diagnosis;
+    assert!(
+        verdict == Verdict::NotDetermined && effects.is_empty() && disagreements.is_empty(),
+        "{verdict} {effects:?}"
+    );
+    assert!(
+        undetermined.iter().all(|one| one.rms > 2.0 * one.expected) && !undetermined.is_empty(),
+        "{undetermined:?}"
+    );
+    assert!(notes.iter().any(|note| note.contains("the errors of the parameters explain it")), "{notes:?}");
+    assert!(open.len() == 1 && open[0].kind == OpenKind::Parameters, "{open:?}");
+    // Wide motions determine them.
+    let known = judged(&wide, &scaled(&[3.0, 3.0], 113, nothing), Of::Filtered).diagnosis;
+    assert_eq!((known.verdict, known.undetermined.len(), known.open.len()), (Verdict::NothingSignificant, 0, 0));
 }
 
 #[test]

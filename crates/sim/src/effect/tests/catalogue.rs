@@ -93,6 +93,11 @@ fn every_effect_begins_at_its_onset() {
         assert!(after > 1e-3, "{text}: {after} after it began");
         assert!(after < 40.0, "{text}: {after} breaks the arm");
         assert_eq!(states, run(&late, 700), "{text}");
+        if !late.effects.iter().any(|effect| matches!(effect.kind, Kind::Contact(_))) {
+            let short = run(&with(&format!("{text}, from = 0.25, until = 0.4")), 700);
+            assert_eq!(short[..399], states[..399], "{text}");
+            assert!(most(&short[400..], &states[400..]) > 1e-3, "{text} ends");
+        }
         let present = run(&with(text), 700);
         assert!(most(&present, &plain) > 1e-3, "{text}");
     }
@@ -124,6 +129,11 @@ fn a_wrong_effect_names_key_and_value() {
         ("joint = 1", &["missing field `id`"]),
         ("id = 'torque-offset', joint = 1, offset = 0.3, from = -1.0", &["effect 1, from", "-1"]),
         ("id = 'torque-offset', joint = 1, offset = 0.3, from = 'noon'", &["`from`", "noon"]),
+        ("id = 'torque-offset', joint = 1, offset = 0.3, until = 'noon'", &["`until`", "noon"]),
+        (
+            "id = 'torque-offset', joint = 1, offset = 0.3, from = 2.0, until = 2.0",
+            &["effect 1, until", "after `from`"],
+        ),
         ("id = 'torque-gain', joint = 1, gain = 0.0", &["effect 1, gain", "0.1 to 10"]),
         ("id = 'asymmetric-coulomb', joint = 1, asymmetry = 0.6", &["asymmetry", "0.6", "-0.5 to 0.5"]),
         ("id = 'asymmetric-viscous', joint = 1, asymmetry = 0.6", &["asymmetry", "0.6"]),
