@@ -13,7 +13,7 @@ use toml::Table;
 
 /// Deviations that hold 99.9 % of a normal distribution.
 const WIDE: f64 = 3.29;
-/// Largest ratio of an unseen error after to the noise. The resonance of a link in its gap is the least certain: 1.04 to 1.10 on several seeds.
+/// Largest ratio of an unseen error after to the noise. The resonance of a link in its gap is the least certain.
 const AT_THE_FLOOR: f64 = 1.15;
 
 struct Shown {
