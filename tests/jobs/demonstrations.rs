@@ -110,8 +110,7 @@ fn a_bottle_is_weighed() {
         assert!((value - truth).abs() < WIDE * std + 0.001, "{axis}: {value} +- {std} m, true {truth}");
     }
     let acts = shown.effect().acts.as_ref().unwrap();
-    // Simulated time goes on between motions, so that a busy machine moves the time at which the arm picks it up.
-    assert!(acts.to_end_of_recording && acts.run.starts_with("identify-upright"), "{acts:?}");
+    assert!(acts.run == "identify-upright-2.csv" && acts.from == 0.0 && acts.to_end_of_recording, "{acts:?}");
 }
 
 #[test]
