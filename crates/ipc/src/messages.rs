@@ -301,8 +301,8 @@ mod tests {
         let mut value = FeedForwardMessage::new(&record(), 7, [9.81, 0.0, 0.0], [0.0, 0.0, -9.81]);
         assert_eq!(value.check(), Ok(()));
         assert_eq!(value.torque(), &record().command.tau_ff.0[..7]);
-        let unknown = FeedForwardMessage { validity: 4, ..value };
-        assert_eq!(unknown.check(), Err(MessageError::Validity { code: 4, seq: 0 }));
+        let unknown = FeedForwardMessage { validity: 5, ..value };
+        assert_eq!(unknown.check(), Err(MessageError::Validity { code: 5, seq: 0 }));
         sample.phase = 0;
         sample.validity = 5;
         assert_eq!(sample.record(), Err(MessageError::Validity { code: 5, seq: 12 }));
