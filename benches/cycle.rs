@@ -1,7 +1,7 @@
 //! The cycle's own work, reading and writing the arm excluded: `cargo bench --bench cycle [-- --quick]`.
 //!
 //! Everything that a cycle of the daemon does is here: the motion, the paper's whole model of a Panda with more terms beside it, the guard with the
-//! end effector's kinematics, the records into the ring, the statistics. Once as fast as it goes, and once as in life: one cycle per
+//! end effector's kinematics, the records into the ring, the statistics. Once as fast as possible, and once at the daemon's pace: one cycle per
 //! millisecond by the clock, when the caches hold something else. The arm itself is an echo that costs nothing.
 
 use hdrhistogram::Histogram;
@@ -23,11 +23,11 @@ use std::sync::Mutex;
 /// Goals of the cycle's own work \[us\].
 const GOAL: (f64, f64) = (5.0, 20.0);
 
-/// An arm that is at once where it is told to be, and looks at the clock whenever the loop turns to it.
+/// An arm that reaches every command at once and reads the clock at each call of the loop.
 struct Echo {
     state: State,
     deadline_ns: Option<u64>,
-    /// When the loop was let go on, and what it has worked in this cycle so far \[ns\].
+    /// Time at which the loop resumed, and its execution time in this cycle so far \[ns\].
     released_ns: u64,
     worked_ns: u64,
     work: Arc<Mutex<Histogram<u64>>>,
@@ -42,7 +42,7 @@ impl Backend for Echo {
     fn read(&mut self) -> Result<State, Fault> {
         let worked = self.worked_ns + now_ns() - self.released_ns;
         if self.begun {
-            // Nobody else holds it while the loop runs.
+            // Not contended: the loop is its only user while it runs.
             if let Ok(mut work) = self.work.try_lock() {
                 work.saturating_record(worked.max(1));
             }
@@ -114,7 +114,7 @@ fn model(robot: &Robot) -> Evaluator {
     model.evaluator(&Mounting::WALL.gravity())
 }
 
-/// Ten seconds of a lively motion of all joints, from rest to rest.
+/// Ten seconds of a fast motion of all joints, from rest to rest.
 fn motion(periods: u32) -> PeriodicMotion {
     let pose = vec![0.0, -0.4, 0.0, -2.0, 0.3, 1.8, 0.5];
     let mut fourier = Fourier::still(10.0, pose, 5).expect("a pose");

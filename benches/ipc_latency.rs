@@ -1,7 +1,7 @@
 //! From the loop to the estimator and to a torque client, beside bare iceoryx2 with the same payload and the same wake-up in the same run:
 //! `cargo bench --bench ipc_latency [-- --quick]`.
 //!
-//! A thread stands for the loop: one record per millisecond into the ring. The bridge takes it from there as the daemon's does, and
+//! A thread takes the place of the loop: one record per millisecond into the ring. The bridge takes it from there as the daemon's does, and
 //! publishes samples and feed-forward. What the bridge adds by waking up (state read to record taken) is measured by itself, "the bridge's
 //! wake-up"; the rest (record taken to value in the reader's hands) is held against a bare publisher and subscriber of messages of the same
 //! size, sent by a thread with the same wake-up. All readers pause for [`POLL`] on
@@ -21,11 +21,11 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::Duration;
 
-/// Pause of every reader between two looks.
+/// Mean pause of every reader between two polls.
 const POLL: Duration = Duration::from_micros(20);
-/// Goal: so many times the bare latency at most.
+/// Goal: largest ratio to the bare latency.
 const GOAL: f64 = 1.2;
-/// As in the daemon: this long after a record is due the bridge looks for it \[ns\].
+/// Delay between the due time of a record and the bridge's poll for it, as in the daemon \[ns\].
 const BEHIND_NS: u64 = 20_000;
 /// Room for the times at which the bridge took its last records.
 const TIMES: usize = 1 << 16;
@@ -50,7 +50,7 @@ impl Shared {
     }
 }
 
-/// Time since the bridge took what `number` stands for \[ns\].
+/// Time since the bridge took the record of this number \[ns\].
 fn since(times: &[AtomicU64], number: u64) -> u64 {
     now_ns().saturating_sub(times[number as usize % TIMES].load(Ordering::Acquire)).max(1)
 }
@@ -117,7 +117,7 @@ fn bridge(shared: &Shared, robot: &RobotId, mut drain: Drain) -> Spread {
     wake_up
 }
 
-/// A torque client: from record taken to value in hand, and from state read to value in hand.
+/// A torque client: latency from record taken to value received, and from state read to value received.
 fn torque_client(shared: &Shared, robot: &RobotId) -> (Spread, Spread) {
     let mut client =
         FeedForwardClient::connect(robot, FeedForwardSettings::default(), Duration::from_secs(20)).expect("the bridge");
@@ -126,7 +126,7 @@ fn torque_client(shared: &Shared, robot: &RobotId) -> (Spread, Spread) {
     let mut seen = 0;
     while !shared.stopped() {
         if let Some(latest) = client.latest().expect("shared memory").filter(|latest| latest.message.sequence > seen) {
-            // What was there before this reader came is nobody's latency.
+            // Published before this reader connected: not a latency of the transport.
             if seen > 0 {
                 whole.saturating_record(plumbline_ipc::boot_ns().saturating_sub(latest.message.stamp_ns).max(1));
                 published.saturating_record(since(&shared.valued, latest.message.sequence));
@@ -145,9 +145,9 @@ fn estimator(shared: &Shared, robot: &RobotId) -> (Spread, Spread) {
     let (mut published, mut whole) = (spread(), spread());
     let mut turn = first_turn();
     while !shared.stopped() {
-        // No waiting inside: the pause is this reader's own, as everybody's here.
+        // Does not wait inside: each reader here pauses by itself.
         if let Delivery::Records { records, .. } = stream.next(Duration::ZERO).expect("shared memory") {
-            // What had piled up before this reader came is nobody's latency.
+            // Published before this reader connected: not a latency of the transport.
             for record in records.iter().filter(|_| records.len() < 4) {
                 published.saturating_record(since(&shared.taken, record.cycle));
                 whole.saturating_record(now_ns().saturating_sub(record.stamp_ns).max(1));

@@ -3,7 +3,7 @@
 //!     cargo bench --bench speed
 //!
 //! Figures of one call are the least of several repeats; figures of 10,000 samples and of an hour are CPU time, for ours and the peers
-//! alike: other work on the machine shows as little as it can. The peers are built
+//! alike, because it depends least on other work of the machine. The peers are built
 //! by `benches/peers/run.sh`; what can't be had is SKIPPED loudly. docs/results/speed.md says what the figures mean.
 
 use nalgebra::{DMatrix, DVector, Vector3};
@@ -243,7 +243,7 @@ fn stream(model: &TorqueModel, gravity: &Vector3<f64>) {
     for k in 0..HOUR {
         let (q, tau) = source.next();
         streaming.push(&q, &tau).expect("finite");
-        // Once a minute someone asks.
+        // One solution a minute.
         if k % 60_000 == 59_999 {
             black_box(streaming.estimate().expect("a minute is enough"));
         }

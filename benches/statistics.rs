@@ -40,7 +40,7 @@ fn identify(scene: &Scene, run: &Run, settings: &Settings, estimator: Estimator)
     identify_with(&scene.structure, &[experiment], &Options { estimator, essential: false }).unwrap()
 }
 
-/// The usual way, parameter by parameter.
+/// The default identification, parameter by parameter.
 fn whole(scene: &Scene, runs: usize) {
     let settings = Settings::default();
     let bound = scene.bound(PERIODS);
@@ -73,7 +73,7 @@ fn whole(scene: &Scene, runs: usize) {
 
 const HEAD: &str = "errors over bound | worst | claimed over errors | inside 95 % | torque error on an unseen motion";
 
-/// The paper's signal processing and the better one.
+/// The paper's signal processing and the default one.
 fn signal(scene: &Scene, runs: usize) {
     let usual = Settings::default();
     let with = |torque: f64, position: f64| Settings {
@@ -103,7 +103,7 @@ fn signal(scene: &Scene, runs: usize) {
     }
 }
 
-/// Every estimator on the data that others are made for.
+/// Every estimator on every kind of disturbance.
 fn estimators(scene: &Scene, runs: usize, parts: &[String]) {
     let named = |of: Estimator| parts.iter().any(|part| part == of.id());
     let chosen = |of: &Estimator| named(*of) || !Estimator::ALL.into_iter().any(named);
@@ -130,7 +130,7 @@ fn estimators(scene: &Scene, runs: usize, parts: &[String]) {
     }
 }
 
-/// Records that do not repeat, as far as the estimator knows.
+/// Records that are declared not to repeat.
 fn aperiodic(scene: &Scene, runs: usize) {
     println!("\n{runs} runs of 60 s as if nothing repeated, weighted least squares\nnoise | {HEAD}");
     for (name, coloured) in [("white", Coloured::default()), ("and coloured of 0.1 Nm", Coloured::of(0.1))] {

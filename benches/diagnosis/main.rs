@@ -1,8 +1,8 @@
 //! How often a diagnosis is right: `cargo bench --bench diagnosis -- cases=100 seed=1 what=single`.
 //!
-//! Every case is an arm of its own (masses, centres of mass, friction), with an effect, several or none that nobody declares, simulated
+//! Every case is a separate arm (masses, centres of mass, friction) with no undeclared effect, one or several, simulated
 //! along four trajectories to identify from and two to validate with, ten periods of ten seconds each, with the noise of
-//! `config/arms/sim-panda.toml` and 0.05 Nm of coloured noise. The diagnosis sees the recordings alone; what it says is compared with the
+//! `config/arms/sim-panda.toml` and 0.05 Nm of coloured noise. The diagnosis has the recordings only; its outcome is compared with the
 //! truth afterwards.
 //!
 //! | argument | meaning | default |

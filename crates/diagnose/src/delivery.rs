@@ -1,10 +1,9 @@
 //! The model that is delivered: the plain one with the effects that help.
 
-use super::Settings;
 use super::acting::Acting;
-use super::diagnosis::Input;
 use super::errors::{self, Compared};
 use super::evidence::{Evidence, Trial};
+use super::input::{Input, Settings};
 use super::library::Candidate;
 use super::outcome::Fitted;
 use super::select::{Found, Selected};

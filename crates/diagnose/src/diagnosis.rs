@@ -1,7 +1,5 @@
 //! The whole way: base fit, selection, veto by unseen data, adequacy, verdict.
 
-use super::RULES;
-use super::Settings;
 use super::acting::{self, Acting};
 use super::curves;
 use super::delivery::Delivery;
@@ -11,54 +9,45 @@ use super::disagreement::{Disagreements, disagreements};
 use super::errors::Of;
 use super::evidence::{Evidence, Trial};
 use super::fallback::{self, Residual};
+use super::figures::Curves;
 use super::fit::{MIN_INDEPENDENCE_RATIO, Problem, group};
 use super::gates;
+use super::input::{Input, RULES, Settings};
 use super::library::{Candidate, library, repeatable};
 use super::open::{OpenQuestions, Question};
 use super::outcome::{
-    self, Action, Acts, BeforeAfter, Confirmation, Diagnosis, Disagreement, Effect, Fitted, JointFacts, Outcome,
-    Parameters, Quantity, Score, Verdict,
+    self, Acts, BeforeAfter, Confirmation, Diagnosis, Disagreement, Effect, Fitted, JointFacts, Parameters, Quantity,
+    Score, Verdict,
 };
 use super::parts::{self, Named};
 use super::reference;
-use super::select::{Scored, Search, Selected, Step};
+use super::select::{MAX_LISTED_SCORES, Scored, Search, Selected, Step, steps};
 use super::span::Span;
 use super::state::State;
-use super::unseen::{Unseen, columns_of};
+use super::unseen::{THRESHOLD_FLOOR_RATIO, Unseen, columns_of};
 use nalgebra::DVector;
 use plumbline_identify::solve::identify_with;
-use plumbline_identify::{EstimateError, Experiment, solve};
+use plumbline_identify::{EstimateError, Experiment};
 use plumbline_model::term::effect;
 use plumbline_model::term::effect::{OperatingPoint, Spec};
 use plumbline_model::{Parameter, Structure};
 use std::borrow::Cow;
 
-/// What is diagnosed.
-pub struct Input<'a> {
-    /// The plain model.
-    pub structure: &'a Structure,
-    /// Runs to identify from.
-    pub identify: &'a [Trial<'a>],
-    /// Runs that decide which findings are accepted and delivered, and whether a joint is explained; not fitted.
-    pub veto: &'a [Trial<'a>],
-    /// Runs that the errors before and after are measured on and nothing is decided by; without any, those of `veto`.
-    pub judge: &'a [Trial<'a>],
-    /// How parameters are identified.
-    pub options: &'a solve::Options,
-    /// Parts of the recording in which something may act that does not act in the rest ([`super::changing::Changing::spans`]).
-    pub parts: &'a [Span],
-}
-
-impl<'a> Input<'a> {
-    /// Runs that decide, those that the model was not fitted to where there are any.
-    pub(super) fn deciding(&self) -> &'a [Trial<'a>] {
-        if self.veto.is_empty() { self.identify } else { self.veto }
-    }
-
-    /// Runs that the errors are measured on.
-    pub(super) fn measuring(&self) -> &'a [Trial<'a>] {
-        if self.judge.is_empty() { self.veto } else { self.judge }
-    }
+/// What a diagnosis ends with.
+#[derive(Clone, Debug)]
+pub struct Outcome {
+    /// What was found, as it stands in files.
+    pub diagnosis: Diagnosis,
+    /// The model without effects.
+    pub before: Fitted,
+    /// The model with those that hold; as before where there is none.
+    pub after: Fitted,
+    /// Residuals of joints in which something is left that no effect explains.
+    pub residuals: Vec<Residual>,
+    /// Curves for people to look at.
+    pub curves: Curves,
+    /// What the recorded runs leave open.
+    pub open: OpenQuestions,
 }
 
 /// Smallest share of a joint's unmodelled power that its effects explain, for the joint to count as explained.
@@ -73,10 +62,6 @@ const MIN_FLAT_LACK_OF_FIT_RATIO: f64 = 2.0;
 const MAX_RELINEARISATIONS: usize = 8;
 /// Smallest gain, twice the log likelihood, for another relinearisation.
 const MIN_RELINEARISATION_GAIN: f64 = 4.0;
-/// Candidates that an outcome lists.
-pub(super) const MAX_LISTED_SCORES: usize = 10;
-/// Smallest unmodelled RMS that counts, in units of the noise of the mean period.
-pub(super) const THRESHOLD_FLOOR_RATIO: f64 = 0.75;
 
 /// Diagnoses a set of runs of one arm. `progress` is called at every step of the selection.
 ///
@@ -237,19 +222,6 @@ fn notes(
     let decided = |trial: &Trial| format!("{} decided which findings are delivered; {also}", trial.experiment.name);
     notes.extend(input.veto.iter().map(decided));
     notes
-}
-
-/// The steps of a selection, from a model with this unmodelled RMS in each joint.
-pub(super) fn steps(from: &str, joints: &[JointFacts], path: &[Step]) -> Vec<outcome::Step> {
-    let total: f64 = joints.iter().filter_map(|joint| joint.unmodelled.before).map(|rms| rms * rms).sum();
-    let start = outcome::Step { action: Action::Start, what: from.into(), unmodelled: Some(total.sqrt()), score: None };
-    let step = |step: &Step| outcome::Step {
-        action: if step.added { Action::Added } else { Action::Removed },
-        what: step.item.spec.to_string(),
-        unmodelled: Some(step.unmodelled.sqrt()),
-        score: Some(step.score),
-    };
-    [start].into_iter().chain(path.iter().map(step)).collect()
 }
 
 /// The best candidates for the plain model.

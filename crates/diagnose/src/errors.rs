@@ -1,6 +1,6 @@
 //! Errors of two models on runs that neither was fitted to, with intervals from a block bootstrap.
 
-use super::outcome::lenient;
+use super::lenient;
 use nalgebra::DMatrix;
 use plumbline_identify::{Experiment, Modelled};
 use rand::{Rng, SeedableRng};

@@ -47,6 +47,8 @@ pub mod figures;
 mod fit;
 mod fold;
 mod gates;
+mod input;
+mod lenient;
 mod library;
 pub mod live;
 mod moments;
@@ -67,61 +69,17 @@ extern crate self as plumbline_diagnose;
 mod synthetic;
 mod unseen;
 
-/// Hash of the sources that a verdict depends on: those of this crate, of the estimate and of the effects. A figure names the rules that it was made with.
-pub const RULES: &str = env!("PLUMBLINE_RULES");
-
-pub use diagnosis::{Input, diagnose};
+pub use diagnosis::{Outcome, diagnose};
 pub use evidence::{Evidence, Trial};
 pub use fallback::{Residual, Variable, lack_of_fit, lacks, unexplained};
 pub use fit::{Problem, group, inverse};
 pub use fold::Fold;
 pub use gates::{FoldTest, Relevance, folds, left_out, matters, relevance};
+pub use input::{Input, RULES, Settings};
 pub use library::{Candidate, library};
 pub use moments::Columns;
 pub use open::{Answer, OpenQuestions, Question};
-pub use outcome::{Confirmation, Diagnosis, Disagreement, Effect, Fitted, JointFacts, Outcome, Verdict};
+pub use outcome::{Confirmation, Diagnosis, Disagreement, Effect, Fitted, JointFacts, Verdict};
 pub use select::{Rival, Scored, Search, Selected, Step};
 pub use span::Span;
 pub use state::{State, mean_square};
-
-/// How a diagnosis is done.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Settings {
-    /// Highest frequency that counts \[Hz\].
-    pub band: f64,
-    /// Least RMS of an effect that matters \[Nm\]; by default a share of the noise floor.
-    pub threshold: Option<f64>,
-    /// That share: of the noise of the mean period.
-    pub least_floor: f64,
-    /// Share of the unmodelled mean square that an effect has to explain in one joint.
-    pub least_share: f64,
-    /// The same where the noise is not known, of the whole residual.
-    pub least_share_of_all: f64,
-    /// And on blocks that were left out.
-    pub least_share_left_out: f64,
-    /// What the errors on unseen runs are taken of that a delivered model is judged by.
-    pub judged_by: errors::Of,
-    /// Wanted half width of the 95 % intervals of effects' parameters, as a share of their values; a wider one is an open question.
-    pub until: Option<f64>,
-    /// Most steps of the selection.
-    pub steps: usize,
-    /// Threads to work on.
-    pub threads: usize,
-}
-
-impl Default for Settings {
-    fn default() -> Settings {
-        Settings {
-            band: 16.0,
-            threshold: None,
-            least_floor: 0.7,
-            least_share: 0.15,
-            least_share_of_all: 0.03,
-            least_share_left_out: 0.2,
-            judged_by: errors::Of::Filtered,
-            until: None,
-            steps: 12,
-            threads: 1,
-        }
-    }
-}

@@ -12,8 +12,8 @@
 //! The search of [`mod@super::reference`] goes over all samples since the change, again whenever there are twice as many; the last part of them takes no
 //! part in the search and judges what was found.
 
-use super::Settings;
 use super::evidence::Trial;
+use super::input::Settings;
 use super::reference::{self, Change, Changes};
 use nalgebra::DMatrix;
 use plumbline_identify::Experiment;

@@ -16,12 +16,12 @@
 use super::deviations::slopes;
 use super::evidence::{BAND_EDGES_HZ, Evidence, Rows, Trial};
 use super::fit::{Problem, group, inverse};
+use super::input::Settings;
 use super::library::Candidate;
 use super::moments::Columns;
-use super::outcome::{self, OpenKind};
+use super::outcome::{self, OpenKind, Verdict};
 use super::select::{MAX_RIVAL_SCORE_GAP, Search, Selected};
 use super::unseen::columns_of;
-use super::{Settings, Verdict};
 use nalgebra::{DMatrix, DVector};
 use plumbline_core::symmetric_eigen;
 use plumbline_identify::{EstimateError, Experiment, Run, Scatter};

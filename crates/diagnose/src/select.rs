@@ -3,12 +3,12 @@
 //! Score of a candidate: twice the gain in profile log likelihood, less `k ln n` for its `k` parameters (linear and nonlinear, `n` rows of
 //! a joint) and `2 ln N` for a library of `N` columns (extended Bayesian information criterion, Chen and Chen, Biometrika 95, 2008).
 
-use super::Settings;
 use super::evidence::Evidence;
 use super::fit::Problem;
 use super::gates::{self, FoldTest, Relevance};
+use super::input::Settings;
 use super::library::Candidate;
-use super::outcome::{self, Alternative, Effect};
+use super::outcome::{self, Action, Alternative, Effect, JointFacts};
 use super::search;
 use super::span::Span;
 use super::state::{State, Tried, every};
@@ -25,6 +25,8 @@ const MIN_START_GAIN_RATIO: f64 = 0.5;
 const BEGIN_RESOLUTION_S: f64 = 0.05;
 /// Candidates above this share of the best score are tied, where the noise is unknown.
 const TIE_RATIO: f64 = 0.8;
+/// Candidates that an outcome lists.
+pub(super) const MAX_LISTED_SCORES: usize = 10;
 /// Largest score difference of a rival that the data cannot separate from the chosen effect.
 pub const MAX_RIVAL_SCORE_GAP: f64 = 12.0;
 
@@ -127,6 +129,19 @@ pub struct Step {
     pub score: f64,
     /// Unmodelled mean square of all joints afterwards \[Nm2\].
     pub unmodelled: f64,
+}
+
+/// The steps of a selection, as in files, from a model with this unmodelled RMS in each joint.
+pub(super) fn steps(from: &str, joints: &[JointFacts], path: &[Step]) -> Vec<outcome::Step> {
+    let total: f64 = joints.iter().filter_map(|joint| joint.unmodelled.before).map(|rms| rms * rms).sum();
+    let start = outcome::Step { action: Action::Start, what: from.into(), unmodelled: Some(total.sqrt()), score: None };
+    let step = |step: &Step| outcome::Step {
+        action: if step.added { Action::Added } else { Action::Removed },
+        what: step.item.spec.to_string(),
+        unmodelled: Some(step.unmodelled.sqrt()),
+        score: Some(step.score),
+    };
+    [start].into_iter().chain(path.iter().map(step)).collect()
 }
 
 /// What the forward selection came to.

@@ -1,6 +1,5 @@
 //! Models on runs that they were not fitted to.
 
-use super::diagnosis::THRESHOLD_FLOOR_RATIO;
 use super::evidence::{Evidence, Trial};
 use super::moments::Columns;
 use super::outcome::Fitted;
@@ -8,6 +7,9 @@ use super::state::{State, mean_square};
 use nalgebra::{DMatrix, DVector};
 use plumbline_model::Structure;
 use plumbline_model::term::effect::OperatingPoint;
+
+/// Smallest unmodelled RMS that counts, in units of the noise of the mean period.
+pub(super) const THRESHOLD_FLOOR_RATIO: f64 = 0.75;
 
 /// Columns of a structure and torques of runs.
 pub fn columns_of(evidence: &Evidence, structure: &Structure, trials: &[Trial]) -> Columns {

@@ -1,4 +1,6 @@
 //! The true parameters of a simulated arm: masses, friction, controller, sensors and effects.
+//!
+//! This file and `effect` import each other: a truth lists its effects, and an effect may change the arm's bodies or friction.
 
 use super::effect::{Effect, EffectSpec, Kind, rotor_inertia};
 use super::spatial::Inertia;

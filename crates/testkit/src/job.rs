@@ -63,7 +63,7 @@ pub struct Place {
 }
 
 /// Files of plans with their names, by what they depend on. The first test of a program that needs them has them planned, the others find them as an
-/// earlier run has left them: the same search takes seconds each time. Whether they are those of its job is for the program to check.
+/// earlier run has left them: the same search takes seconds each time. The program checks that they belong to its job.
 static PLANS: Mutex<BTreeMap<String, Files>> = Mutex::new(BTreeMap::new());
 
 type Files = Vec<(OsString, Vec<u8>)>;
@@ -80,7 +80,7 @@ impl Place {
         Place { id, dir: tempfile::tempdir().unwrap(), planned_for: Mutex::new(None) }
     }
 
-    /// Puts the plans of a job with these overrides into the folder of the results, where another test has had them made.
+    /// Copies the plans of a job with these overrides into the folder of the results, where an earlier test has planned them.
     pub fn reuse_plans(&self, job: &str, sets: &[&str]) {
         let own = sets.iter().filter(|set| PLANNED_BY.iter().any(|key| set.starts_with(key)));
         let own = own.filter(|set| !REPEATED_BY.iter().any(|key| set.starts_with(key)));

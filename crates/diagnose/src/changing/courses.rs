@@ -245,7 +245,7 @@ impl Deviations<'_> {
     fn trial(&self, what: Drifting, course: Course, shared: Shared) -> Trial {
         let columns = |joint: usize, record: &Record| -> Vec<Vec<f64>> {
             let column = |shape: &Vec<f64>| {
-                let at = |row: usize| shape[row % record.samples] * course.at(record.clock(row, shared));
+                let at = |row: usize| shape[row % record.samples] * course.at(shared.time(record, row));
                 let mut x: Vec<f64> = (0..record.tau.nrows()).map(at).collect();
                 record.centre(&mut x);
                 record.coefficients(joint, &x, highest(record))

@@ -51,6 +51,13 @@ pub enum Shared {
     Course,
 }
 
+impl Shared {
+    /// Time of a row of a run on the clock of a drift's course \[s\].
+    pub(super) fn time(self, record: &Record, row: usize) -> f64 {
+        record.time(row) + if self == Shared::Course { record.start } else { 0.0 }
+    }
+}
+
 /// What drifts. Joints count from 0.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Drifting {
@@ -120,7 +127,7 @@ impl Drifting {
         for joint in self.joints(record.joints()) {
             for (shape, value) in self.shapes(joint, &record.motion, operating_point).iter().zip(values) {
                 for row in 0..tau.nrows() {
-                    tau[(row, joint)] += value * shape[row % record.samples] * course.at(record.clock(row, shared));
+                    tau[(row, joint)] += value * shape[row % record.samples] * course.at(shared.time(record, row));
                 }
             }
         }

@@ -303,7 +303,7 @@ fn transient_of(record: &Record, x: &DMatrix<f64>, event: &transient::Event) -> 
 fn left_out(record: &Record, masked: &[bool]) -> Vec<ExcludedSpan> {
     let mut found = Vec::new();
     for (period, rows) in record.repeats.periods.iter().zip(masked.chunks(record.samples)) {
-        for (first, last) in transient::stretches(rows) {
+        for (first, last) in record::stretches(rows) {
             let time = |row: usize| (period * record.samples + row) as f64 * record.dt;
             found.push(ExcludedSpan { run: record.experiment.name.clone(), from: time(first), to: time(last) });
         }

@@ -91,7 +91,7 @@ fn outliers(column: &[f64], samples: usize, masked: &[bool], least: f64) -> Vec<
     let sticks = |(row, value): (usize, &f64)| spread > 0.0 && value.abs() > least && !masked[row];
     let sticks: Vec<bool> = high.iter().enumerate().map(sticks).collect();
     let single =
-        super::transient::stretches(&sticks).into_iter().filter(|(first, last)| last - first <= MAX_OUTLIER_SAMPLES);
+        super::record::stretches(&sticks).into_iter().filter(|(first, last)| last - first <= MAX_OUTLIER_SAMPLES);
     single.flat_map(|(first, last)| first..last).collect()
 }
 
@@ -100,7 +100,7 @@ fn left_out(experiment: &Experiment, repeats: &Repeats, spoiled: &[bool], sample
     let dt = experiment.motion.dt;
     let mut found = Vec::new();
     for (period, rows) in repeats.periods.iter().zip(spoiled.chunks(samples)) {
-        for (first, last) in super::transient::stretches(rows) {
+        for (first, last) in super::record::stretches(rows) {
             let time = |row: usize| (period * samples + row) as f64 * dt;
             found.push(ExcludedSpan { run: experiment.name.clone(), from: time(first), to: time(last) });
         }

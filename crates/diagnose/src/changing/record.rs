@@ -1,6 +1,5 @@
 //! The periods of one run on a grid that is as fine as slow effects need, and what is taken off them.
 
-use super::drift::Shared;
 use crate::fold::Cosines;
 use nalgebra::DMatrix;
 use plumbline_identify::signal::time_to_nearest;
@@ -99,11 +98,6 @@ impl Record<'_> {
         ((period * self.samples + row % self.samples) as f64 + middle) * self.dt
     }
 
-    /// Time of a row on the clock of a drift's course \[s\].
-    pub fn clock(&self, row: usize, shared: Shared) -> f64 {
-        self.time(row) + if shared == Shared::Course { self.start } else { 0.0 }
-    }
-
     /// Lets these samples not count; whether that changes anything.
     pub fn mask(&mut self, masked: Vec<bool>) -> bool {
         if self.masked == masked {
@@ -175,7 +169,7 @@ fn standing(motion: &Motion) -> Vec<Vec<bool>> {
     let of_joint = |speeds: &[f64]| {
         let slow: Vec<bool> = speeds.iter().map(|speed| speed.abs() < STANDING_SPEED).collect();
         let mut stands = vec![false; slow.len()];
-        for (first, last) in super::transient::stretches(&slow) {
+        for (first, last) in stretches(&slow) {
             if last - first >= least {
                 stands[first..last].fill(true);
             }
@@ -201,6 +195,23 @@ pub(super) fn from_median(mut x: Vec<f64>, samples: usize) -> Vec<f64> {
         x[k..].iter_mut().step_by(samples).for_each(|value| *value -= middle);
     }
     x
+}
+
+/// Stretches of true values, as first and one after last.
+pub(super) fn stretches(flags: &[bool]) -> Vec<(usize, usize)> {
+    let mut found = Vec::new();
+    let mut start = None;
+    for (k, &flag) in flags.iter().chain([&false]).enumerate() {
+        match (start, flag) {
+            (None, true) => start = Some(k),
+            (Some(first), false) => {
+                found.push((first, k));
+                start = None;
+            }
+            _ => {}
+        }
+    }
+    found
 }
 
 /// Median; of an even number of values the mean of the middle two. Changes their order.

@@ -2,7 +2,7 @@
 //!
 //! The energy of a second's deviation from the median of the periods is compared with that of all other seconds of the run.
 
-use super::record::{Record, from_median, spread};
+use super::record::{Record, from_median, spread, stretches};
 use nalgebra::DMatrix;
 
 /// Length of a window \[s\]; windows overlap by half.
@@ -120,21 +120,4 @@ pub(super) fn mask(record: &Record, events: &[Event], margin: f64) -> Vec<bool> 
         masked[event.first.saturating_sub(margin)..last].fill(true);
     }
     masked
-}
-
-/// Stretches of true values, as first and one after last.
-pub(super) fn stretches(flags: &[bool]) -> Vec<(usize, usize)> {
-    let mut found = Vec::new();
-    let mut start = None;
-    for (k, &flag) in flags.iter().chain([&false]).enumerate() {
-        match (start, flag) {
-            (None, true) => start = Some(k),
-            (Some(first), false) => {
-                found.push((first, k));
-                start = None;
-            }
-            _ => {}
-        }
-    }
-    found
 }

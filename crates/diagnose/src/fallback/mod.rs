@@ -11,18 +11,16 @@ mod words;
 pub use place::{Dependence, Line, Map, Window};
 pub use variable::Variable;
 
-use super::Settings;
 use super::evidence::{BAND_EDGES_HZ, Evidence};
 use super::fit::group;
-use super::outcome::Unexplained;
+use super::input::Settings;
+use super::outcome::{LACK_OF_FIT_RATIO, Unexplained};
 use super::state::State;
 use place::Signals;
 use plumbline_core::parallel;
 use screen::Screen;
 use variable::{Course, products};
 
-/// Mean square over that of the noise above which a joint lacks something.
-pub const LACK_OF_FIT_RATIO: f64 = 1.3;
 /// A residual of which the best variables predict less than this share is flat.
 pub const MIN_DEPENDENT_R2: f64 = 0.1;
 /// A second variable has to add so much to the share that one predicts.

@@ -4,15 +4,12 @@
 //! per joint of the arm or are empty. A figure that could not be measured is NaN (`null` in the file) in a list and `None` by itself.
 
 mod effect;
-pub(super) mod lenient;
 
 pub use effect::{Acts, Alternative, Effect, Folds, Parameters};
 pub use plumbline_model::term::effect::{Quantity, Stratum};
 
 use super::errors::{Band, Compared, Errors};
-use super::fallback::Residual;
-use super::figures::Curves;
-use super::open::OpenQuestions;
+use super::lenient;
 use plumbline_identify::solve::Identification;
 use plumbline_model::Structure;
 use plumbline_model::term::effect::Site;
@@ -20,8 +17,8 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::fmt;
 
-/// Mean square of a residual over that of the noise from which on a model lacks something.
-const LACK_OF_FIT_RATIO: f64 = 1.3;
+/// Mean square of a residual over that of the noise above which a joint lacks something.
+pub const LACK_OF_FIT_RATIO: f64 = 1.3;
 
 /// Outcome of a diagnosis.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -472,21 +469,4 @@ pub struct Fitted {
     pub structure: Structure,
     /// Its parameters.
     pub identification: Identification,
-}
-
-/// What a diagnosis ends with.
-#[derive(Clone, Debug)]
-pub struct Outcome {
-    /// What was found, as it stands in files.
-    pub diagnosis: Diagnosis,
-    /// The model without effects.
-    pub before: Fitted,
-    /// The model with those that hold; as before where there is none.
-    pub after: Fitted,
-    /// Residuals of joints in which something is left that no effect explains.
-    pub residuals: Vec<Residual>,
-    /// Curves for people to look at.
-    pub curves: Curves,
-    /// What the recorded runs leave open.
-    pub open: OpenQuestions,
 }

@@ -15,9 +15,9 @@ pub use extend::extended;
 pub use held::Stored;
 pub use outcome::Comparison;
 
-use super::Settings;
 use super::evidence::{Evidence, Trial};
 use super::fit::{Prior, Problem, inverse};
+use super::input::Settings;
 use super::library::{self, Candidate};
 use super::moments::Columns;
 use super::select::{Found, Scored, Search, Selected, Step};

@@ -1,12 +1,12 @@
 //! Changes as they stand in files.
 
 use super::{Change, Changes};
-use crate::diagnosis::{MAX_LISTED_SCORES, steps};
 use crate::errors::{Band, Compared};
 use crate::outcome::{
     self, BeforeAfter, Confirmation, Diagnosis, Effect, JointFacts, MinimumDetectable, Parameters, Quantity, Score,
     Stratum, Unexplained, Verdict,
 };
+use crate::select::{MAX_LISTED_SCORES, steps};
 use plumbline_model::{Mounting, TorqueModel};
 
 /// A joint whose residual power is more than this many times its noise lacks something.

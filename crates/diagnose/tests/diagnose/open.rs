@@ -2,7 +2,7 @@
 
 use super::gates::synthetic::{At, FLOOR, PERIODS, Recorded, scaled};
 use nalgebra::DMatrix;
-use plumbline_diagnose::outcome::Outcome;
+use plumbline_diagnose::Outcome;
 use plumbline_diagnose::{Input, OpenQuestions, Question, Settings, diagnose};
 use plumbline_identify::{Run, solve};
 use plumbline_model::Mounting;

@@ -9,6 +9,7 @@
 //! with `D_j` the noise of one period, `g` the gain of the filter and `sigma_j` the residual's standard deviation. The filter attenuates what the model
 //! says and noise alike, which the weights make up for.
 
+use super::gains::Gains;
 use super::linear::Weights;
 use super::stack::Stack;
 use crate::experiment::Experiment;
@@ -86,32 +87,4 @@ impl Noise {
 fn both_sides(samples: usize, of: impl Fn(usize) -> f64) -> f64 {
     let sides = |m: usize| if m == 0 || 2 * m == samples { 1.0 } else { 2.0 };
     (0..=samples / 2).map(|m| sides(m) * of(m)).sum::<f64>() / samples as f64
-}
-
-/// Gains by frequency of the rows of one experiment.
-#[derive(Clone, Debug)]
-pub struct Gains {
-    samples: usize,
-    /// Gain of every frequency, per joint.
-    joints: Vec<Vec<f64>>,
-}
-
-/// Multiplies the spectra of signals by gains. `x` has the rows of all experiments, joint by joint.
-pub fn filter(x: &mut [f64], gains: &[Gains]) {
-    let joints = gains.first().map_or(0, |gains| gains.joints.len());
-    let per_joint = x.len() / joints.max(1);
-    let mut before = 0;
-    for Gains { samples, joints } in gains {
-        let spectral = Spectral::new(*samples, 1.0);
-        for (joint, gains) in joints.iter().enumerate() {
-            let own = &mut x[joint * per_joint + before..][..*samples];
-            if own.iter().all(|value| *value == 0.0) {
-                continue;
-            }
-            let mut spectrum = spectral.transform(own);
-            spectrum.iter_mut().zip(gains).for_each(|(value, gain)| *value *= gain);
-            own.copy_from_slice(&spectral.signal(spectrum));
-        }
-        before += samples;
-    }
 }

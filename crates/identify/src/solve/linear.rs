@@ -1,6 +1,6 @@
 //! Common parts of the estimators: weights, and least squares in the determined directions.
 
-use super::coloured::{Gains, filter};
+use super::gains::{Gains, filter};
 use super::stack::Stack;
 use crate::EstimateError;
 use nalgebra::{Cholesky, DMatrix, DVector};

@@ -11,6 +11,7 @@
 //! Standard deviations are valid for coloured noise ([`super::covariance`]).
 
 pub mod coloured;
+pub mod gains;
 pub mod huber;
 pub mod iv;
 pub mod linear;

@@ -1,4 +1,4 @@
-//! What a case of the study is: an arm, and what nobody declared about it, drawn by seed and number.
+//! A case of the study: an arm and its undeclared effects, drawn by seed and number.
 
 use plumbline_diagnose::Variable;
 use plumbline_excite::Plan;

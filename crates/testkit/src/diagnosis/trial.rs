@@ -59,7 +59,7 @@ impl Bench {
         Bench { chain, base, identify, validate }
     }
 
-    /// The whole way; `threads` for the diagnosis alone.
+    /// Simulation, identification and diagnosis; `threads` applies to the diagnosis only.
     pub fn judge(&self, case: &Case, threads: usize) -> Judged {
         let truth = Truth::parse("case", &case.truth).unwrap_or_else(|error| panic!("{error}\n{}", case.truth));
         let plans = self.identify[..case.trajectories].iter().chain(&self.validate);

@@ -11,7 +11,7 @@ pub const JOINTS: usize = 7;
 pub const TICK: f64 = 1e-3;
 /// Numbers this close above a limit are rounding, relative to the limit.
 const ROUNDING: f64 = 1e-6;
-/// A client of version 10 knows the desired position in single precision alone: repeating it is a velocity of up to so much \[rad/s\].
+/// A client of version 10 receives the desired position in single precision only: repeating it is a velocity of up to so much \[rad/s\].
 const SINGLE_PRECISION: f64 = 3e-4;
 /// How far from the desired position a motion may begin \[rad\]. Franka publishes none; nearer starts past [`START_AT_MEASURED`] fail as
 /// discontinuities.

@@ -47,7 +47,7 @@ pub struct Options {
     /// duplicate, reorder, truncate, garbage, tcp-reset, silence, wrong-version; may be given several times
     #[arg(long = "fault", value_name = "FAULT")]
     faults: Vec<Fault>,
-    /// Shared library that LoadModelLibrary answers with (versions 5 and 9); without it clients are told an error
+    /// Shared library that LoadModelLibrary answers with (versions 5 and 9); without it they receive an error
     #[arg(long, value_name = "FILE")]
     model_library: Option<PathBuf>,
     /// Milliseconds that the robot's time stands still at most to wait for the next command: not what a robot does
@@ -94,7 +94,7 @@ fn mounting(text: &str) -> Result<Mounting, String> {
     }
 }
 
-/// The settings that the options amount to; events are told.
+/// The settings of these options; events are logged.
 pub fn settings(options: Options) -> Result<Settings, Box<dyn Error>> {
     let mut settings = Settings::new(options.address, options.protocol);
     settings.robot = options.robot.unwrap_or(settings.robot);

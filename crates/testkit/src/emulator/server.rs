@@ -210,7 +210,7 @@ impl Server {
         }
     }
 
-    /// Serves the present client; forgets one that has disconnected.
+    /// Serves the connected client; drops one that has disconnected.
     fn attend(&mut self) {
         let Some(mut client) = self.client.take() else { return };
         match self.serve(&mut client) {

@@ -33,7 +33,7 @@ pub struct Tally {
     pub refused: [u64; TARGETS.len()],
 }
 
-/// What tells the files of a target apart, and the shipped ones of it.
+/// File name extension of a target, and its shipped files.
 pub struct Files {
     texts: [Vec<String>; TARGETS.len()],
     robot: Robot,
@@ -193,7 +193,7 @@ fn read(bench: &Bench, target: usize, bytes: &[u8]) -> Result<(), String> {
     }
 }
 
-/// Numbers and words that somebody has not thought of.
+/// Numbers and words outside the expected ranges.
 const WORDS: [&str; 22] = [
     "0",
     "-1",

@@ -1,4 +1,4 @@
-//! Steps 3 and 4: the job itself, small and slow, then whole. Both run `plumbline run`, which stands beside this program.
+//! Steps 3 and 4: the job itself, small and slow, then whole. Both run the `plumbline` that was installed beside this program.
 
 use super::verdict::Verdict;
 use super::{Given, Rig};
@@ -10,7 +10,7 @@ use std::process::Command;
 
 /// How far joints may move from `backend.start` in the slow step \[rad\].
 const RANGE: f64 = 0.35;
-/// Times the noise floor that the error on unseen motions may be.
+/// Largest error on unseen motions, in units of the noise floor.
 const NOISE: f64 = 3.0;
 
 /// A tenth of the speed, a fifth of the acceleration and jerk, a small range, one period.
@@ -105,7 +105,7 @@ fn report(out: &Path) -> Result<Report, Box<dyn Error>> {
     Ok(serde_json::from_str(&text)?)
 }
 
-/// What the robot stopped for on the way, though the job went on.
+/// Faults from which the robot was recovered during the job.
 fn faults(report: &Report) -> Vec<String> {
     let sessions = report.control_loop.iter().flat_map(|of| &of.sessions);
     sessions.filter_map(|session| session.link.as_ref()?.fault.clone()).collect()

@@ -13,12 +13,12 @@ use std::path::PathBuf;
 
 /// States that are averaged: 2 s.
 const STATES: usize = 2000;
-/// Standard deviation of a torque at rest: what friction holds and what a sensor is off by, the arm's joints and the wrist's \[Nm\].
+/// Standard deviation of a torque at rest from stiction and sensor offset: the arm's joints and the wrist's \[Nm\].
 const SIGMA: [f64; 7] = [0.8, 0.8, 0.8, 0.8, 0.3, 0.3, 0.3];
 /// Angle that gravity may be off by, and how many standard deviations.
 const ANGLE: f64 = 10.0;
 const DEVIATIONS: f64 = 3.0;
-/// What the strength of gravity may be off by.
+/// Tolerance of the magnitude of gravity, a ratio.
 const STRENGTH: f64 = 0.15;
 const PANDA: &str = include_str!("../../../../config/models/panda-paper-table3.toml");
 
@@ -31,7 +31,7 @@ pub struct Options {
     model: Option<PathBuf>,
 }
 
-/// Reads states and holds their torques against the model.
+/// Reads states and compares their torques with the model's.
 pub fn run(rig: &Rig, options: &Options) -> Result<Verdict, Box<dyn Error>> {
     let (file, text) = match &options.model {
         Some(path) => (path.display().to_string(), std::fs::read_to_string(path)?),

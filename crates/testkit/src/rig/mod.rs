@@ -1,4 +1,4 @@
-//! The steps and what they are given.
+//! The steps of the bring-up and their arguments.
 
 pub mod communication;
 pub mod excitation;
@@ -53,7 +53,7 @@ pub struct Rig {
 }
 
 impl Given {
-    /// Loads the job; refuses where nobody said that somebody is there.
+    /// Loads the job; refused unless an operator is declared present.
     pub fn load(&self) -> Result<Rig, Box<dyn Error>> {
         if !self.i_am_at_the_robot {
             return Err("this step drives or energises a real arm: read docs/guide/franka.md, stand at the robot with your hand on the stop \

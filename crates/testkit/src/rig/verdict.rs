@@ -5,12 +5,12 @@ use std::fmt;
 /// How a step ended, and why.
 pub enum Verdict {
     Pass(String),
-    /// Do not go on; each line is a reason and what to do.
+    /// Stop here; each line is a reason and its remedy.
     Fail(Vec<String>),
 }
 
 impl Verdict {
-    /// A pass where nothing speaks against it.
+    /// A pass where there is no reason to stop.
     pub fn of(reasons: Vec<String>, passed: String) -> Verdict {
         if reasons.is_empty() { Verdict::Pass(passed) } else { Verdict::Fail(reasons) }
     }

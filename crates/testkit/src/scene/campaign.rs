@@ -1,4 +1,4 @@
-//! Many simulated runs of one scene: do the intervals hold the truth as often as they say, and how close are errors to the best possible?
+//! Many simulated runs of one scene: coverage of the confidence intervals, and errors relative to the Cramer-Rao bound.
 
 use super::Scene;
 use nalgebra::DMatrix;
@@ -11,15 +11,15 @@ struct Found {
     half_width: Vec<f64>,
 }
 
-/// What came out of all runs, one entry per parameter.
+/// Statistics over all runs, one entry per parameter.
 pub struct Campaign {
     pub names: Vec<String>,
     pub runs: usize,
-    /// Share of the runs whose 95 % interval holds the truth.
+    /// Share of the runs whose 95 % interval contains the true value.
     pub covered: Vec<f64>,
     pub error: Vec<f64>,
     pub bias: Vec<f64>,
-    /// Root mean square of the standard deviations that the runs claimed.
+    /// Root mean square of the standard deviations that the runs estimated.
     pub claimed: Vec<f64>,
     pub bound: Vec<f64>,
     /// Torque error that the parameters' errors cause on an unseen motion, root mean square over runs and samples, per joint \[Nm\].
@@ -72,7 +72,7 @@ impl Campaign {
         }
     }
 
-    /// Share of all intervals that hold the truth.
+    /// Share of all intervals that contain the true value.
     pub fn coverage(&self) -> f64 {
         self.covered.iter().sum::<f64>() / self.covered.len() as f64
     }
@@ -82,7 +82,7 @@ impl Campaign {
         pooled(&self.error, &self.bound)
     }
 
-    /// Claimed standard deviations over the errors found, root mean square over the parameters.
+    /// Estimated standard deviations over the errors found, root mean square over the parameters.
     pub fn claimed_over_error(&self) -> f64 {
         pooled(&self.claimed, &self.error)
     }

@@ -1,5 +1,5 @@
-//! The simulated Panda on the wall along one planned motion: what it truly does, any number of noisy recordings of it, and how well its
-//! parameters can be known at best. Shared by the statistics of the estimators in `tests/` and `benches/`.
+//! The simulated Panda on the wall along one planned motion: its true motion, any number of noisy recordings of it, and the Cramer-Rao bound of
+//! its parameters. Shared by the statistics of the estimators in `tests/` and `benches/`.
 
 pub mod campaign;
 pub mod lab;
@@ -25,7 +25,7 @@ pub const DT: f64 = 1e-3;
 /// Periods driven before the recording, while the arm settles.
 const LEAD_IN: u64 = 1;
 
-/// An arm, a motion, and the truth about both.
+/// An arm and a motion, with true parameters, positions and torques.
 pub struct Scene {
     pub truth: Truth,
     pub structure: Structure,
@@ -39,7 +39,7 @@ pub struct Scene {
     pub tau: DMatrix<f64>,
 }
 
-/// What spoils a recording besides the sensors of the arm's own file.
+/// Disturbances of a recording besides the sensor noise of the arm's file.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Extra {
     /// First-order torque noise.
@@ -155,12 +155,12 @@ impl Scene {
         dataset::Run::new(data, role)
     }
 
-    /// As [`Scene::record`], with more on top.
+    /// As [`Scene::record`], with disturbances.
     pub fn record_with(&self, periods: usize, seed: u64, extra: Extra) -> Run {
         self.record_after(0, periods, seed, extra)
     }
 
-    /// As [`Scene::record_with`], after so many samples that nobody records.
+    /// As [`Scene::record_with`], after this number of samples that are not recorded.
     pub fn record_after(&self, skipped: usize, periods: usize, seed: u64, extra: Extra) -> Run {
         let (n, samples) = (self.joints(), self.motion.samples());
         let rows = periods * samples;

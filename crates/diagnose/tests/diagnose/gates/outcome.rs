@@ -1,7 +1,8 @@
 //! What becomes of a finding: veto, adequacy, delivery, verdict.
 
 use super::synthetic::{At, FLOOR, Recorded, once, recorded};
-use plumbline_diagnose::outcome::{Action, BeforeAfter, Confirmation, Diagnosis, JointFacts, Outcome, Verdict};
+use plumbline_diagnose::Outcome;
+use plumbline_diagnose::outcome::{Action, BeforeAfter, Confirmation, Diagnosis, JointFacts, Verdict};
 use plumbline_diagnose::{Input, Settings, diagnose};
 use plumbline_identify::solve;
 use plumbline_model::term::torque_offset;

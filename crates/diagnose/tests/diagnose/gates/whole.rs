@@ -1,8 +1,9 @@
 //! Rules of a whole diagnosis on the two-joint arm: what is confirmed, what acts in a part of the recording, what differs in a run.
 
 use super::synthetic::{At, FLOOR, Recorded, once, recorded, scaled};
+use plumbline_diagnose::Outcome;
 use plumbline_diagnose::errors::Of;
-use plumbline_diagnose::outcome::{Diagnosis, OpenKind, Outcome, Verdict};
+use plumbline_diagnose::outcome::{Diagnosis, OpenKind, Verdict};
 use plumbline_diagnose::{Input, Settings, diagnose};
 use plumbline_identify::solve;
 
