@@ -10,7 +10,7 @@ use super::signal::SignalError;
 use super::signal::resample::{Sampling, resample};
 use nalgebra::{DMatrix, DMatrixView};
 
-/// Longest stretch of replaced samples of an aperiodic run that enters the regression \[s\].
+/// Longest stretch of lost or replaced samples of an aperiodic run that enters the regression \[s\].
 const MAX_LINE_S: f64 = 0.02;
 
 /// Samples of a run after resampling and averaging.
@@ -29,7 +29,7 @@ pub(super) struct Even {
     pub counted: Vec<bool>,
     /// See [`super::Experiment::settling`].
     pub settling: f64,
-    /// Samples of an aperiodic run in lines across spoiled samples that are too long to be the signal.
+    /// Samples of an aperiodic run that were lost or spoiled in stretches too long for what was put there to be the signal.
     pub long_lines: Vec<bool>,
     /// Torques that were replaced, per joint.
     pub replaced: Vec<usize>,
@@ -67,7 +67,7 @@ impl Even {
         };
         let mut even = resample(&run.t, &values, None).map_err(signal)?;
         let Some(period) = run.period else {
-            let mut lines = vec![false; even.values.nrows()];
+            let mut lines = even.filled.clone();
             for (column, rows) in &spoiled {
                 count(*column, rows.iter().filter(|row| **row).count());
                 let own = on_grid(rows, &run.t, lines.len(), even.sampling.dt);
