@@ -14,8 +14,8 @@ use plumbline_core::parallel;
 use plumbline_identify::solve::{Estimator, Identification, identify_weighted, identify_with};
 use plumbline_identify::{EstimateError, Experiment, Modelled};
 use plumbline_model::TorqueModel;
-use plumbline_model::term::Expected;
 use plumbline_model::term::effect::{self, Spec};
+use plumbline_model::term::{Column, Expected};
 
 /// Smallest share of a joint's unmodelled power on unseen runs that its effects explain, to be delivered.
 const MIN_EXPLAINED_RATIO: f64 = 0.5;
@@ -25,8 +25,19 @@ const WEAK_SIGNAL_RATIO: f64 = 1.5;
 /// A joint is worse when the interval of its error's change lies above this share of the plain model's error. Joints share the rigid-body
 /// parameters, so every effect changes each of them a little.
 const MAX_WORSENING_RATIO: f64 = 0.05;
+/// Standard deviations by which a parameter of an effect has to differ from zero.
+const MIN_DEVIATIONS: f64 = 2.0;
 /// Largest change of a parameter, in its standard deviations, at which the operating point has converged.
 const SETTLED_DEVIATIONS: f64 = 0.1;
+
+/// Why an effect is not in the delivered model.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Withheld {
+    /// A sentence.
+    pub why: String,
+    /// Whether physics or unseen runs contradict the effect. Otherwise they merely show too little of it.
+    pub refuted: bool,
+}
 
 /// What a delivery is made of.
 pub struct Delivery<'a> {
@@ -62,15 +73,16 @@ impl Delivery<'_> {
         lacks: &[Option<f64>],
         adequacy: &[Option<f64>],
         confirmed: &[bool],
-    ) -> Result<(Fitted, Vec<Option<String>>), EstimateError> {
+    ) -> Result<(Fitted, Vec<Option<Withheld>>), EstimateError> {
         let too_little = |share: &[Option<f64>], found: &Found, least: f64| {
             let joint = found.relevance.joint;
             let share = share[joint].filter(|share| *share < least)?;
             let lack = format!("what the plain model lacks in joint {}", joint + 1);
-            Some(match share {
+            let why = match share {
                 share if share < 0.0 => format!("on unseen runs the effects add to {lack}"),
                 share => format!("on unseen runs the effects explain {:.0} % of {lack}", 100.0 * share),
-            })
+            };
+            Some(Withheld { why, refuted: share < 0.0 })
         };
         let least = |found: &Found| {
             let faint = lacks[found.relevance.joint].is_some_and(|lack| lack <= WEAK_SIGNAL_RATIO * WEAK_SIGNAL_RATIO);
@@ -79,7 +91,7 @@ impl Delivery<'_> {
         // What acts in a part is in no model.
         let everywhere: Vec<bool> = selected.state.items.iter().map(|item| item.span.is_all()).collect();
         let found = selected.found.iter().zip(&everywhere);
-        let mut withheld: Vec<Option<String>> =
+        let mut withheld: Vec<Option<Withheld>> =
             found.map(|(found, all)| too_little(adequacy, found, least(found)).filter(|_| *all)).collect();
         loop {
             let kept: Vec<bool> = withheld.iter().zip(&everywhere).map(|(why, all)| why.is_none() && *all).collect();
@@ -99,12 +111,13 @@ impl Delivery<'_> {
             let Some((index, why)) = self.reason(selected, &kept, &after, confirmed) else {
                 return Ok((after, withheld));
             };
-            withheld[index] = Some(why);
+            withheld[index] = Some(Withheld { why, refuted: true });
         }
     }
 
-    /// The effect that the model `after` must not have, and why: a parameter is below zero that can't be by its physics; a joint is predicted
-    /// worse than by the plain model on unseen runs; or it is unconfirmed, and its joint is not predicted better there.
+    /// The effect that the model `after` must not have, and why: a parameter is below zero that can't be by its physics; its parameters are zero within
+    /// their errors; a joint is predicted worse than by the plain model on unseen runs; or it is unconfirmed, and its joint is not predicted better
+    /// there.
     fn reason(
         &self,
         selected: &Selected,
@@ -119,6 +132,9 @@ impl Delivery<'_> {
         for &index in &candidates {
             if let Some((name, value)) = negative(after, &items[index].spec) {
                 return Some((index, format!("{name} came out as {value:.3}, and it can't be below 0")));
+            }
+            if is_zero(after, &items[index].spec) {
+                return Some((index, "in the whole model its parameters are zero within their errors".into()));
             }
         }
         let compared = self.compared(after, self.input.veto)?;
@@ -234,17 +250,31 @@ impl Delivery<'_> {
     }
 }
 
+/// Estimates of the linear parameters of an effect, by name: some effects are columns of a term of the whole arm.
+fn own<'a>(fitted: &'a Fitted, columns: &'a [Column]) -> impl Iterator<Item = (&'a Column, f64, Option<f64>)> {
+    let Fitted { structure, identification } = fitted;
+    let values = structure.columns().iter().zip(identification.values());
+    values
+        .filter(|(column, _)| columns.iter().any(|own| own.name == column.name))
+        .map(|(column, (value, std))| (column, value, std))
+}
+
 /// A parameter of an effect that is below zero and can't be by its physics: name and value.
 fn negative(fitted: &Fitted, spec: &Spec) -> Option<(String, f64)> {
-    let Fitted { structure, identification } = fitted;
-    let term = spec.build(&structure.operating_point(&identification.beta)).ok()?;
+    let term = spec.build(&fitted.structure.operating_point(&fitted.identification.beta)).ok()?;
     if term.expects() != Expected::NotNegative {
         return None;
     }
-    // By name: some effects are columns of a term of the whole arm.
-    let values = structure.columns().iter().zip(&identification.beta);
-    let mut own = values.filter(|(column, _)| term.columns().iter().any(|own| own.name == column.name));
-    own.find(|(_, value)| **value < 0.0).map(|(column, value)| (column.name.clone(), *value))
+    let columns = term.columns();
+    own(fitted, &columns).find(|(_, value, _)| *value < 0.0).map(|(column, value, _)| (column.name.clone(), value))
+}
+
+/// Whether every linear parameter of an effect is within [`MIN_DEVIATIONS`] of zero.
+fn is_zero(fitted: &Fitted, spec: &Spec) -> bool {
+    let Ok(term) = spec.build(&fitted.structure.operating_point(&fitted.identification.beta)) else { return false };
+    let columns = term.columns();
+    let mut values = own(fitted, &columns).peekable();
+    values.peek().is_some() && values.all(|(_, value, std)| std.is_some_and(|std| value.abs() < MIN_DEVIATIONS * std))
 }
 
 #[cfg(test)]

@@ -2,7 +2,7 @@
 
 use super::acting::{self, Acting};
 use super::curves;
-use super::delivery::Delivery;
+use super::delivery::{Delivery, Withheld};
 use super::detectable;
 use super::deviations::Deviations;
 use super::disagreement::{Disagreements, disagreements};
@@ -129,7 +129,8 @@ pub fn diagnose(input: &Input, settings: &Settings, progress: &dyn Fn(&Step)) ->
     let confirmed: Vec<bool> = selected.found.iter().map(|found| full && found.folds.confirm() == Some(true)).collect();
     let (after, withheld) = delivery.of(&selected, &lacks, &adequacy, &confirmed)?;
     let kept: Vec<bool> = withheld.iter().map(Option::is_none).collect();
-    let effects = effects_of(input, &search, &selected, &withheld, &confirmed, &adequacy, &after);
+    let all = effects_of(input, &search, &selected, &withheld, &confirmed, &adequacy, &after);
+    let (hints, effects): (Vec<Effect>, Vec<Effect>) = all.into_iter().partition(|effect| effect.refuted);
     // The residual of the delivered model.
     let left = if kept.iter().any(|kept| *kept) { &selected.state } else { &base };
     let left_out = (evidence.folds().len() > 1).then(|| gates::left_out(&search.problem, &base, left));
@@ -155,8 +156,9 @@ pub fn diagnose(input: &Input, settings: &Settings, progress: &dyn Fn(&Step)) ->
         not_identifiable: detectable::not_identifiable(&independences),
         path: steps("the plain model", &joints, &selected.path),
         scores: scores(&selected, &effects, input.identify),
-        notes: notes(&evidence, input, &effects, &different, &undetermined),
+        notes: notes(&evidence, input, effects.iter().chain(&hints), &different, &undetermined),
         effects,
+        hints,
         joints,
         disagreements: different,
         undetermined,
@@ -178,10 +180,10 @@ pub fn diagnose(input: &Input, settings: &Settings, progress: &dyn Fn(&Step)) ->
 }
 
 /// Remarks on what the findings were tested on, and on effects that are not delivered.
-fn notes(
+fn notes<'a>(
     evidence: &Evidence,
     input: &Input,
-    effects: &[Effect],
+    effects: impl Iterator<Item = &'a Effect>,
     disagreements: &[Disagreement],
     undetermined: &[Disagreement],
 ) -> Vec<String> {
@@ -358,7 +360,7 @@ fn effects_of(
     input: &Input,
     search: &Search,
     selected: &Selected,
-    withheld: &[Option<String>],
+    withheld: &[Option<Withheld>],
     confirmed: &[bool],
     adequacy: &[Option<f64>],
     after: &Fitted,
@@ -396,7 +398,8 @@ fn effects_of(
             explained_share: Some(found.relevance.share[joint].max(0.0)),
             confirmed: confirmed[index],
             in_model,
-            withheld: withheld[index].clone(),
+            withheld: withheld[index].as_ref().map(|own| own.why.clone()),
+            refuted: withheld[index].as_ref().is_some_and(|own| own.refuted),
             acts: acting::acts(item.span, input.identify),
             ..found.effect(&item.spec)
         };

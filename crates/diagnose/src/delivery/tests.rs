@@ -109,6 +109,8 @@ fn model_with(delivery: &Delivery, effects: &[(Spec, f64)]) -> Fitted {
         let name = &spec.build(&operating_point).unwrap().columns()[0].name;
         let at = structure.columns().iter().position(|column| column.name == *name).unwrap();
         identification.beta[at] = *value;
+        // Set by hand, so the data's deviation is not its own.
+        identification.std[at] = None;
     }
     Fitted { structure, identification }
 }
@@ -160,6 +162,23 @@ fn of_two_parameters_below_zero_that_of_the_lower_score_goes_first() {
             assert_eq!(delivery.reason(selected, &[true, true], &after, &[true, true]), None);
         });
     }
+}
+
+#[test]
+fn an_effect_whose_parameters_are_zero_within_two_deviations_is_withheld() {
+    let (identify, veto) = (recorded(2, 69, |_| [0.0; 2]), recorded(2, 70, tone_and_offset(0.1)));
+    let effects = [(spec("torque-offset", 1), Span::ALL, 9.0)];
+    Case::of(&identify, &veto).deliver(&effects, |delivery, selected| {
+        let reason = |std: f64| {
+            let mut after = model_with(delivery, &[(spec("torque-offset", 1), 0.1)]);
+            let at = after.structure.columns().iter().position(|column| column.name == "offset2").unwrap();
+            after.identification.std[at] = Some(std);
+            delivery.reason(selected, &[true], &after, &[true])
+        };
+        assert_eq!(reason(0.049), None);
+        let (index, why) = reason(0.051).unwrap();
+        assert_eq!((index, &*why), (0, "in the whole model its parameters are zero within their errors"));
+    });
 }
 
 #[test]
@@ -282,18 +301,18 @@ fn an_effect_explains_half_of_what_the_plain_model_lacks_or_the_plain_model_lack
             let why = withheld.remove(0);
             let columns = structure().columns().len() + usize::from(why.is_none());
             assert_eq!(after.structure.columns().len(), columns);
-            why
+            why.map(|own| (own.why, own.refuted))
         };
         let explain =
             |share| format!("on unseen runs the effects explain {share} % of what the plain model lacks in joint 2");
         assert_eq!(delivered(9.0, 0.5), None);
-        assert_eq!(delivered(9.0, 0.49), Some(explain(49)));
+        assert_eq!(delivered(9.0, 0.49), Some((explain(49), false)));
         // 1.5 times the noise, squared.
         assert_eq!(delivered(2.24, 0.02), None);
-        assert_eq!(delivered(2.26, 0.02), Some(explain(2)));
+        assert_eq!(delivered(2.26, 0.02), Some((explain(2), false)));
         let add = "on unseen runs the effects add to what the plain model lacks in joint 2";
-        assert_eq!(delivered(2.24, -0.01).as_deref(), Some(add));
-        assert_eq!(delivered(9.0, -0.01).as_deref(), Some(add));
+        assert_eq!(delivered(2.24, -0.01), Some((add.into(), true)));
+        assert_eq!(delivered(9.0, -0.01), Some((add.into(), true)));
     });
 }
 
@@ -305,7 +324,10 @@ fn an_effect_that_adds_to_the_errors_of_unseen_runs_once_it_is_identified_is_wit
         // The fit of the selection is said to explain all of a lack of three times the noise: the identified model adds 2 Nm.
         let (after, withheld) = delivery.of(selected, &[None, Some(9.0)], &[None, Some(1.0)], &[true]).unwrap();
         let add = "on unseen runs the effects add to what the plain model lacks in joint 2";
-        assert_eq!((after.structure.columns().len(), withheld), (structure().columns().len(), vec![Some(add.into())]));
+        assert_eq!(
+            (after.structure.columns().len(), withheld),
+            (structure().columns().len(), vec![Some(Withheld { why: add.into(), refuted: true })])
+        );
     });
 }
 
@@ -319,11 +341,11 @@ fn of_two_effects_the_one_that_explains_too_little_is_withheld_and_the_other_is_
         let explain = format!("on unseen runs the effects explain 49 % of {lack}");
         let add = format!("on unseen runs the effects add to {lack}");
         // By the fit of the selection, or by the model that is to be delivered.
-        for (explained, why) in [(0.49, explain), (1.0, add)] {
+        for (explained, why, refuted) in [(0.49, explain, false), (1.0, add, true)] {
             let lacks = [Some(9.0), Some(1e4)];
             let (after, withheld) =
                 delivery.of(selected, &lacks, &[Some(explained), Some(1.0)], &[true, true]).unwrap();
-            assert_eq!(withheld, [Some(why), None]);
+            assert_eq!(withheld, [Some(Withheld { why, refuted }), None]);
             assert_eq!(after.structure.columns().len(), structure().columns().len() + 1);
         }
     });

@@ -121,6 +121,9 @@ pub struct Diagnosis {
     pub confirmation: Option<Confirmation>,
     /// Effects that were found, the strongest evidence first.
     pub effects: Vec<Effect>,
+    /// Effects that the selection found and physics or unseen runs contradict; in no model.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub hints: Vec<Effect>,
     /// Errors of the model without them on runs that took no part in anything.
     pub before: Errors,
     /// The same with those that are in the delivered model.

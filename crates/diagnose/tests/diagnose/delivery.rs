@@ -33,11 +33,11 @@ fn diagnosed(scene: &Scene, identify: usize, extra: impl Fn(usize, &mut Run)) ->
     diagnose(&input, &settings, &|_| {}).unwrap()
 }
 
-/// The delivered model is the plain one, and the effect is reported with the reason.
+/// The delivered model is the plain one, and the effect is a hint with the reason.
 #[track_caller]
 fn withheld<'o>(outcome: &'o Outcome, family: &str) -> &'o str {
-    let found = outcome.diagnosis.effects.iter().find(|effect| effect.id == family);
-    let found = found.unwrap_or_else(|| panic!("no {family} among {:?}", outcome.diagnosis.effects));
+    let found = outcome.diagnosis.hints.iter().find(|effect| effect.id == family);
+    let found = found.unwrap_or_else(|| panic!("no {family} among {:?}", outcome.diagnosis));
     assert!(!found.in_model, "{found:?}");
     assert_eq!(outcome.after.identification.beta, outcome.before.identification.beta);
     found.withheld.as_deref().unwrap_or_else(|| panic!("{found:?}"))
