@@ -69,7 +69,7 @@ fn the_c_function_has_the_effects_of_one_sample() {
         let mut unheld = Vec::new();
         for (index, family) in FAMILIES.iter().enumerate() {
             for form in family.forms {
-                let sites = family.place.sites(robot.chain.len());
+                let sites = family.sites(form, robot.chain.len());
                 let site = sites[(7 * index + form.name.len()) % sites.len()];
                 let settings = form.settings.iter().map(|setting| setting.at(0.4)).collect();
                 let spec = Spec { family: family.id, form: form.name, site, settings };

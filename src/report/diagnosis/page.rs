@@ -117,6 +117,7 @@ fn effects(effects: &[Effect], confirmation: Option<Confirmation>) -> Vec<Value>
                 Stratum::Repeatable => "repeatable",
                 Stratum::Changing => "changing",
                 Stratum::Reference => "since reference",
+                Stratum::Remainder => "empirical",
             },
             in_model => effect.in_model,
             left => words::left(effect),
