@@ -3,7 +3,8 @@
 //!
 //! [`Evidence`] (torques and columns as Fourier coefficients with known noise) -> fits and the likelihood that a candidate brings ->
 //! [`library()`] (the candidates) -> [`Search`] (forward selection, backward elimination) with gates -> [`diagnose()`] (unseen runs, adequacy,
-//! verdict) -> [`Outcome`]. What stays unexplained is described by the variables that it follows, [`unexplained()`].
+//! verdict) -> [`Outcome`]. What stays unexplained is described by the variables that it follows, [`unexplained()`], and a learned term without a name
+//! takes what it can ([`outcome::Empirical`]).
 //!
 //! | what | items |
 //! |---|---|
@@ -40,6 +41,7 @@ mod detectable;
 mod deviations;
 mod diagnosis;
 mod disagreement;
+mod empirical;
 pub mod errors;
 mod evidence;
 mod fallback;
@@ -103,6 +105,8 @@ pub struct Settings {
     pub judged_by: errors::Of,
     /// Wanted half width of the 95 % intervals of effects' parameters, as a share of their values; a wider one is an open question.
     pub until: Option<f64>,
+    /// Highest torque of each joint, n \[Nm\]; empty where it is not known. A learned term gets a share of it.
+    pub torque_limits: Vec<f64>,
     /// Most steps of the selection.
     pub steps: usize,
     /// Threads to work on.
@@ -120,6 +124,7 @@ impl Default for Settings {
             least_share_left_out: 0.2,
             judged_by: errors::Of::Filtered,
             until: None,
+            torque_limits: Vec::new(),
             steps: 12,
             threads: 1,
         }

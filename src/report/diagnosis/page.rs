@@ -53,6 +53,7 @@ pub(in crate::report) fn context(of: &Diagnosis, figures: &Curves) -> Value {
         path => plotted(path(of)),
         open => words::open(of).collect::<Vec<_>>(),
         unexplained => of.unexplained.iter().map(words::unexplained).collect::<Vec<_>>(),
+        empirical => of.empirical.iter().map(|term| arrow(words::empirical(term))).collect::<Vec<_>>(),
         dependences => against(&figures.dependences),
         maps => maps(figures),
         detectable => detectable(of),

@@ -1,5 +1,6 @@
 //! What a residual may depend on, and smooth functions of it.
 
+use crate::evidence::Evidence;
 use nalgebra::DMatrix;
 use plumbline_model::term::Motion;
 use plumbline_model::term::empirical::{Axis, Follows};
@@ -62,7 +63,7 @@ impl fmt::Display for Variable {
 
 /// A variable along several motions.
 #[derive(Clone, Debug)]
-pub(super) struct Course {
+pub struct Course {
     /// Which one.
     pub variable: Variable,
     /// Its values, motion by motion.
@@ -78,6 +79,15 @@ impl Course {
         let all = || values.iter().flatten().copied();
         let range = (all().fold(f64::INFINITY, f64::min), all().fold(f64::NEG_INFINITY, f64::max));
         (range.1 - range.0 > 1e-6).then_some(Course { variable, values, range })
+    }
+
+    /// Every variable that changes in the motions of these runs.
+    pub fn all(evidence: &Evidence) -> Vec<Course> {
+        let joints = 0..evidence.joints();
+        let of_joint = |joint| [Variable::Position(joint), Variable::Velocity(joint), Variable::Acceleration(joint)];
+        let motions = || (0..evidence.experiments()).map(|experiment| evidence.motion(experiment));
+        let each = joints.flat_map(of_joint).chain([Variable::Time]);
+        each.filter_map(|variable| Course::of(variable, motions())).collect()
     }
 
     /// Smooth functions of it, N x functions in each motion: B-splines over its range, and for a velocity its sign.
@@ -112,7 +122,7 @@ impl Course {
 }
 
 /// Every product of a function of one and a function of the other variable.
-pub(super) fn products(a: &[DMatrix<f64>], b: &[DMatrix<f64>]) -> Vec<DMatrix<f64>> {
+pub fn products(a: &[DMatrix<f64>], b: &[DMatrix<f64>]) -> Vec<DMatrix<f64>> {
     let of_motion = |(a, b): (&DMatrix<f64>, &DMatrix<f64>)| {
         let mut both = DMatrix::zeros(a.nrows(), a.ncols() * b.ncols());
         for i in 0..a.ncols() {
