@@ -97,7 +97,9 @@ fn stratum(stratum: Stratum) -> &'static str {
         Stratum::Reference => {
             "against a model from before, or between sessions: within one session the base parameters absorb it"
         }
-        Stratum::Remainder => "in what all other effects leave; it is fitted last and never searched for in their place",
+        Stratum::Remainder => {
+            "in what all other effects leave; it is fitted last and never searched for in their place"
+        }
     }
 }
 

@@ -15,8 +15,8 @@ use plumbline_core::parallel;
 use plumbline_identify::solve::{Estimator, Identification, identify_weighted, identify_with};
 use plumbline_identify::{EstimateError, Experiment, Modelled};
 use plumbline_model::TorqueModel;
-use plumbline_model::term::{Expected, Motion};
 use plumbline_model::term::effect::{self, Spec};
+use plumbline_model::term::{Expected, Motion};
 
 /// Smallest share of a joint's unmodelled power on unseen runs that its effects explain, to be delivered.
 const MIN_EXPLAINED_RATIO: f64 = 0.5;

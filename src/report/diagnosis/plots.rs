@@ -109,8 +109,7 @@ pub(super) fn effect(figure: &EffectFigure) -> String {
         return String::new();
     }
     let x: Vec<f64> = bins.iter().map(|bin| bin.0).chain(fitted.iter().map(|point| point.0)).collect();
-    let y =
-        bins.iter().flat_map(|(_, mean, twice)| [mean - twice, mean + twice]);
+    let y = bins.iter().flat_map(|(_, mean, twice)| [mean - twice, mean + twice]);
     let y = y.chain([&fitted, &above, &below].into_iter().flatten().map(|point| point.1));
     let ((left, right), (low, high)) = (span(&x), span(&y.collect::<Vec<_>>()));
     svg((820, 320), |area| {

@@ -1,8 +1,8 @@
 //! A diagnosis in plain words.
 
 use super::{
-    Changes, Confirmation, Diagnosis, Effect, Empirical, Errors, Open, OpenKind, Quantity, Stratum, Symbolic, Unexplained,
-    Verdict,
+    Changes, Confirmation, Diagnosis, Effect, Empirical, Errors, Open, OpenKind, Quantity, Stratum, Symbolic,
+    Unexplained, Verdict,
 };
 use crate::report::Band;
 use crate::report::summary::{CHANGED, band_of, digits};

@@ -7,10 +7,10 @@
 mod spline;
 mod symbolic;
 
+use super::curves::edges;
 use super::delivery::Delivery;
 use super::errors::Compared;
 use super::evidence::{Evidence, Trial};
-use super::curves::edges;
 use super::fallback::{Course, MIN_DEPENDENT_R2, MIN_SECOND_VARIABLE_R2, Predictor, Residual, Signals};
 use super::figures::{EffectFigure, MapFigure};
 use super::outcome::{BeforeAfter, Empirical, Fitted, listed};

@@ -138,11 +138,8 @@ fn columns(
     parts: impl Fn(f64) -> [f64; 2],
     width: usize,
 ) -> DMatrix<f64> {
-    let mut samples: Vec<DMatrix<f64>> = course
-        .values
-        .iter()
-        .map(|values| DMatrix::from_fn(values.len(), width, |k, c| parts(values[k])[c]))
-        .collect();
+    let mut samples: Vec<DMatrix<f64>> =
+        course.values.iter().map(|values| DMatrix::from_fn(values.len(), width, |k, c| parts(values[k])[c])).collect();
     let count: f64 = samples.iter().map(|of| of.nrows() as f64).sum();
     for c in 0..width {
         let mean = samples.iter().map(|of| of.column(c).sum()).sum::<f64>() / count;

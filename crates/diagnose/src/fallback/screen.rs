@@ -82,11 +82,8 @@ impl Screen<'_> {
         for (mut column, scale) in c.column_iter_mut().zip(&scale) {
             column /= *scale;
         }
-        let parts: Vec<Part> = parts(self.evidence, &c)
-            .iter()
-            .zip(&self.residual)
-            .map(|(c, r)| Part::of(c, r))
-            .collect();
+        let parts: Vec<Part> =
+            parts(self.evidence, &c).iter().zip(&self.residual).map(|(c, r)| Part::of(c, r)).collect();
         let whole = parts.iter().fold(Part::zero(c.ncols()), |sum, part| sum + part);
         let total: f64 = self.residual.iter().map(DVector::norm_squared).sum();
         let ridge = |ridge: f64| {

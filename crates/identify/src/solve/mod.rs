@@ -174,10 +174,8 @@ impl Identification {
         all.covariance = all.covariance.resize(columns.len(), columns.len(), 0.0);
         all.covariance.view_mut((before, before), covariance.shape()).copy_from(covariance);
         all.rank += beta.len();
-        let each =
-            parallel(experiments, threads(), |experiment| validate_parameters(experiment, structure, &all.beta));
-        all.rms = Rms::pooled(&each)
-            .ok_or(EstimateError::TooFewRows { rows: self.rows, columns: columns.len() })?;
+        let each = parallel(experiments, threads(), |experiment| validate_parameters(experiment, structure, &all.beta));
+        all.rms = Rms::pooled(&each).ok_or(EstimateError::TooFewRows { rows: self.rows, columns: columns.len() })?;
         all.runs = self.runs.iter().map(|(name, _)| name.clone()).zip(each).collect();
         Ok(Identification { columns, ..all })
     }

@@ -54,7 +54,10 @@ pub static FAMILY: Family = Family {
     ],
     stratum: Stratum::Remainder,
     typical: "at most what was fitted, and a fifth of the joint's highest torque",
-    confounded: &[confounded("the effect that has no name yet", "the experiment that the diagnosis proposes for the joint")],
+    confounded: &[confounded(
+        "the effect that has no name yet",
+        "the experiment that the diagnosis proposes for the joint",
+    )],
     reference: "Eilers, Marx, Statistical Science 11 (1996): splines with a penalty on differences",
     rare: Rare { fits, ..Rare::NONE },
 };
@@ -256,13 +259,8 @@ impl Empirical {
                 (0..COARSE * COARSE).map(|k| format!("{stem}_{}_{}", k / COARSE + 1, k % COARSE + 1)).collect()
             }
         };
-        let column = |name: String| Column {
-            symbol: name.clone(),
-            expression: name.clone(),
-            name,
-            joint: law.row + 1,
-            unit,
-        };
+        let column =
+            |name: String| Column { symbol: name.clone(), expression: name.clone(), name, joint: law.row + 1, unit };
         let spec = Spec { family: FAMILY.id, form, site, settings: settings.to_vec() };
         Empirical { spec, law, columns: names.into_iter().map(column).collect() }
     }

@@ -61,7 +61,9 @@ pub fn specs(family: &'static Family, n: usize, rng: &mut ChaCha8Rng) -> Vec<Spe
             // A window inside the motion.
             "contact" => vec![12.5, 15.5],
             // A domain that the motion leaves and comes back to.
-            "empirical" => form.settings.iter().map(|one| if one.name.starts_with("middle") { 0.1 } else { 0.7 }).collect(),
+            "empirical" => {
+                form.settings.iter().map(|one| if one.name.starts_with("middle") { 0.1 } else { 0.7 }).collect()
+            }
             _ => form.settings.iter().map(|setting| setting.at(rng.random_range(0.0..1.0))).collect(),
         },
     };

@@ -68,7 +68,10 @@ fn a_function_of_one_variable_is_learned_and_predicts_runs_that_decided_nothing(
     assert!(one.share.unwrap() > 0.2, "{one:?}");
     let (before, after) = (one.rms.before.unwrap(), one.rms.after.unwrap());
     assert!(after < 0.65 * before, "{before} {after}");
-    assert!((found.diagnosis.after.validate_rms[1] - after).abs() < 1e-12, "the errors are those of the delivered model");
+    assert!(
+        (found.diagnosis.after.validate_rms[1] - after).abs() < 1e-12,
+        "the errors are those of the delivered model"
+    );
     // It has no name: the joint is still unexplained.
     assert!(matches!(found.diagnosis.verdict, Verdict::Unexplained | Verdict::Partly));
     assert!(found.diagnosis.unexplained.iter().any(|one| one.joint == 2));
