@@ -159,9 +159,11 @@ pub fn diagnose(input: &Input, settings: &Settings, progress: &dyn Fn(&Step)) ->
     let residuals: Vec<Residual> = screened.iter().filter(|one| counts(one, &joints)).cloned().collect();
     let mut curves = curves::of(&search, &base, left, &residuals);
     // With unknown noise a joint may be too quiet to be called unexplained and still follow a variable.
+    let found = selected.found.iter().zip(&withheld).filter(|(_, why)| why.is_some());
+    let refused: Vec<usize> = found.map(|(found, _)| found.relevance.joint).collect();
     let learning = Learning { delivery: &delivery, evidence: &evidence, identified: &identified };
     let Learned { model, terms: empirical, curves: learned, maps } =
-        learning.of(&after, if evidence.repeats() { &residuals } else { &screened })?;
+        learning.of(&after, if evidence.repeats() { &residuals } else { &screened }, &refused)?;
     curves.effects.extend(learned);
     curves.maps.extend(maps);
     let compared = delivery.compared(&model, input.measuring());

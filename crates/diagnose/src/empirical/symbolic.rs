@@ -111,7 +111,7 @@ pub fn proposed(
     let (rows, tried) = (residual.len() as f64, laws.len() as f64);
     let penalised = |law: &Law| {
         let columns = columns(evidence, joint, course, |x| law.parts(x), law.width());
-        let amplitudes = columns.clone().svd(true, true).solve(residual, 1e-12).ok()?;
+        let amplitudes = columns.tr_mul(&columns).cholesky()?.solve(&columns.tr_mul(residual));
         let left = (residual - &columns * &amplitudes).norm_squared();
         let score = rows * left.max(f64::MIN_POSITIVE).ln() + law.count() as f64 * rows.ln() + 2.0 * tried.ln();
         Some((score, *law, amplitudes, left))

@@ -177,7 +177,7 @@ impl Axis {
         let share = (x - self.middle) / self.reach;
         let weight = (1.0 - (share.abs() - 1.0).max(0.0) / FADE_RATIO).max(0.0);
         let splines = self.splines(N);
-        let place = 0.5 * (share.max(-1.0).min(1.0) + 1.0) * (splines - degree) as f64;
+        let place = 0.5 * (share.clamp(-1.0, 1.0) + 1.0) * (splines - degree) as f64;
         std::array::from_fn(|s| {
             weight * if s < splines { b_spline(degree, place - centre(degree, s)) } else { smooth_sign(x) }
         })
