@@ -12,6 +12,7 @@ use plumbline_core::{JointVec, MAX_JOINTS};
 use plumbline_identify::streaming::gram::Gram;
 use plumbline_identify::streaming::solve::solve;
 use plumbline_identify::streaming::{Settings, Streaming};
+use plumbline_model::term::effect::{Site, Spec};
 use plumbline_model::term::{Motion, Sample};
 use plumbline_model::{
     Evaluator, Mounting, Reduction, Robot, SampleRegressor, Structure, TorqueModel, regressor, rnea,
@@ -135,6 +136,18 @@ fn main() {
         black_box(tau);
     });
     table.row("torque, rigid body, plain recursion", plain, "");
+    let whole_ns = torque(&mut whole);
+    for (form, of, settings) in [("q", [3, 3], vec![0.0, 2.5]), ("dq-dq", [2, 3], vec![0.0, 2.0, 0.0, 2.0])] {
+        let spec = Spec { family: "empirical", form, site: Site::Function { row: 3, of }, settings };
+        let term = spec.build(&model.structure().operating_point(&model.beta())).expect("its site and settings");
+        let mut values: Vec<_> = model.beta().iter().map(|&value| (value, None)).collect();
+        values.extend(term.columns().iter().map(|_| (0.1, None)));
+        let structure = model.structure().clone().with(vec![term]).expect("its own columns");
+        let mut learned =
+            TorqueModel::new("panda", structure, Vec::new(), &values).expect("its columns").evaluator(&gravity);
+        let what = if of[0] == of[1] { "one position" } else { "two velocities" };
+        table.row(&format!("    more with an empirical term of {what}"), torque(&mut learned) - whole_ns, "");
+    }
 
     let mut rows = SampleRegressor::new(&rigid, &gravity).expect("one sample at a time");
     let time = least(300, 1000, |k| {

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""How much of the plain model's residual could be predicted at all, and how much of that the named effects take.
+"""How much of the plain model's residual could be predicted at all, and how much of that named effects and empirical terms take.
 
     learner.py --program PLUMBLINE DATASET...        (without datasets: every folder of ../shared/data)
 
@@ -7,7 +7,8 @@ Per joint, on data that no fit has seen (runs of role `validate`, else the last 
 
 learned   gradient boosting on q, dq, ddq, sign(dq), time and displacement since the joint's last reversal, for the residual of
           the model of `plumbline identify`; its size is chosen by cross-validation over contiguous blocks of the identification data alone
-named     the delivered model of `plumbline diagnose` with its effects
+named     the delivered model of `plumbline diagnose` with its named effects alone: its file without the terms `empirical`
+both      the delivered model, empirical terms included
 fixed     without any search: Dahl states of 0.1, 0.5 and 2 mrad and sign(dq) |tau_rb| in every joint, fitted with the plain model here;
           its share is of a plain model that is fitted here in the same way
 
@@ -94,6 +95,13 @@ def predict(program, model, path, n, work):
     return joint_columns(data, "tau", n), data["at_end"]
 
 
+def without_empirical(text):
+    """A model file without learned terms, and without what was computed for all of its parameters together."""
+    gone = lambda block: block.startswith(("[uncertainty]", "[consistent")) or 'id = "empirical"' in block
+    kept = "\n\n".join(block for block in text.split("\n\n") if not gone(block))
+    return "\n".join(line for line in kept.split("\n") if not line.startswith("content = ")) + "\n"
+
+
 def dahl(q, reach):
     """States of elastic contact that yield at a displacement, -1 to 1."""
     z = np.zeros_like(q)
@@ -173,13 +181,15 @@ def dataset(program, folder):
     held = any(run["role"] == "validate" for run in runs)
     with tempfile.TemporaryDirectory(prefix="learner-") as scratch:
         work = Path(scratch)
-        for command, key in (("identify", "plain"), ("diagnose", "named")):
+        for command, key in (("identify", "plain"), ("diagnose", "both")):
             done = subprocess.run([program, command, str(folder), "--out", str(work / key)], capture_output=True, text=True)
             if done.returncode:
                 print(f"{folder.name}: no {command}: {done.stderr.strip()[-300:]}")
                 return []
+        (work / "named").mkdir()
+        (work / "named" / "model.toml").write_text(without_empirical((work / "both" / "model.toml").read_text()))
         for run in runs:
-            for key in ("plain", "named"):
+            for key in ("plain", "named", "both"):
                 model = work / key / "model.toml"
                 tau, _ = predict(program, model, folder / run["file"], n, work)
                 run[key] = run["on"](tau)
@@ -202,13 +212,13 @@ def dataset(program, folder):
     new = np.concatenate([x[m] for x, m in zip(features, unseen)])
     thin = max(1, len(known) // 20000)
     groups = np.arange(len(known)) * BLOCKS // len(known)
-    train, test, named = gather("plain", identify), gather("plain", unseen), gather("named", unseen)
+    train, test, named, both = gather("plain", identify), gather("plain", unseen), gather("named", unseen), gather("both", unseen)
     rows = []
     for j in range(n):
         learned = test[:, j] - learn(known[::thin], train[::thin, j], groups[::thin], new)
         square = (test[:, j] ** 2).mean()
         rows.append({"log": folder.name, "joint": j + 1, "plain": square**0.5, "learned": 1 - (learned**2).mean() / square,
-                     "named": 1 - (named[:, j] ** 2).mean() / square, "fixed": 1 - fixed[j] / plain_here[j], "plain_here": plain_here[j] ** 0.5})
+                     "named": 1 - (named[:, j] ** 2).mean() / square, "both": 1 - (both[:, j] ** 2).mean() / square, "fixed": 1 - fixed[j] / plain_here[j], "plain_here": plain_here[j] ** 0.5})
     return rows
 
 
@@ -229,13 +239,14 @@ def main():
         every += rows
         for r in rows:
             print(f"{r['log']:16} joint {r['joint']}  plain {r['plain']:9.3f} ({r['plain_here']:9.3f})  learned {r['learned']:6.2f}  "
-                  f"named {r['named']:6.2f}  fixed {r['fixed']:6.2f}", flush=True)
+                  f"named {r['named']:6.2f}  both {r['both']:6.2f}  fixed {r['fixed']:6.2f}", flush=True)
     some = [r for r in every if r["learned"] > 0.1]
     if some:
         print(f"joints where the learner takes more than 0.1: {len(some)} of {len(every)}; median of named / learned "
-              f"{np.median([r['named'] / r['learned'] for r in some]):.2f}; fixed set better than named in "
-              f"{sum(r['fixed'] > r['named'] for r in every)} joints; named worse than plain by more than 2 % RMS in "
-              f"{sum((1 - r['named']) ** 0.5 > 1.02 for r in every)}")
+              f"{np.median([r['named'] / r['learned'] for r in some]):.2f}, of both / learned "
+              f"{np.median([r['both'] / r['learned'] for r in some]):.2f}; fixed set better than named in "
+              f"{sum(r['fixed'] > r['named'] for r in every)} joints; worse than plain by more than 2 % RMS: "
+              f"named in {sum((1 - r['named']) ** 0.5 > 1.02 for r in every)}, both in {sum((1 - r['both']) ** 0.5 > 1.02 for r in every)}")
 
 
 if __name__ == "__main__":

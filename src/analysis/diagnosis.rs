@@ -56,7 +56,8 @@ pub fn run(question: &Question) -> Result<Diagnosed, Failure> {
     };
     bar.at(0.1, "searching");
     let share = std::cell::Cell::new(0.2);
-    let settings = plumbline_diagnose::Settings { judged_by: question.of, ..question.diagnosis.clone() };
+    let torque_limits = question.robot.limits.tau[..question.robot.chain.len()].to_vec();
+    let settings = plumbline_diagnose::Settings { judged_by: question.of, torque_limits, ..question.diagnosis.clone() };
     let outcome = diagnose(&input, &settings, &|step| {
         share.set(share.get() + 0.15 * (0.95 - share.get()));
         bar.at(share.get(), step.item.spec.family);

@@ -147,7 +147,7 @@ impl Results {
         });
         let model = self.model_file(identified, validated.collect(), Some(dataset.content_hash()));
         crate::atomic::write_result(&self.out.join("model.toml"), model.to_toml().as_bytes())?;
-        if diagnosed.as_ref().is_some_and(|diagnosed| diagnosed.block.effects.iter().any(|effect| effect.in_model)) {
+        if diagnosed.as_ref().is_some_and(|diagnosed| diagnosed.block.grows()) {
             // The served model.
             let served = self.model_file(&plain, Vec::new(), Some(dataset.content_hash()));
             crate::atomic::write_result(&self.out.join("model-plain.toml"), served.to_toml().as_bytes())?;

@@ -86,6 +86,7 @@ fn place(place: Place) -> &'static str {
         Place::Arm => "in the arm as a whole",
         Place::Joint => "in one joint",
         Place::Pair => "in one joint (row j), and comes from another (k)",
+        Place::Function => "in one joint (row j), and follows the motion of one or two (k, l)",
     }
 }
 
@@ -95,6 +96,9 @@ fn stratum(stratum: Stratum) -> &'static str {
         Stratum::Changing => "in what differs from period to period",
         Stratum::Reference => {
             "against a model from before, or between sessions: within one session the base parameters absorb it"
+        }
+        Stratum::Remainder => {
+            "in what all other effects leave; it is fitted last and never searched for in their place"
         }
     }
 }

@@ -97,6 +97,7 @@ struct RawTerm {
     form: String,
     joint: Option<usize>,
     cause: Option<usize>,
+    other: Option<usize>,
     #[serde(default)]
     settings: BTreeMap<String, f64>,
     parameters: Vec<RawParameter>,
@@ -124,6 +125,7 @@ impl RawTerm {
                 form: self.form.clone(),
                 joint: self.joint,
                 cause: self.cause,
+                other: self.other,
                 settings: self.settings.iter().map(|(name, value)| (name.clone(), *value)).collect(),
             },
             parameters: self.parameters.iter().map(|own| (own.name.clone(), own.value, own.std)).collect(),

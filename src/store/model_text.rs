@@ -81,7 +81,7 @@ fn effect(line: &mut dyn FnMut(std::fmt::Arguments), spec: &Spec) {
     if !spec.form.is_empty() {
         line(format_args!("form = {}", quoted(spec.form)));
     }
-    for (key, joint) in ["joint", "cause"].into_iter().zip(spec.site.joints()) {
+    for (key, joint) in ["joint", "cause", "other"].into_iter().zip(spec.site.joints()) {
         line(format_args!("{key} = {}", joint + 1));
     }
     let form = spec.family().ok().and_then(|family| family.form(spec.form));

@@ -2,8 +2,8 @@
 
 use plumbline::store::export::c;
 use plumbline_model::TorqueModel;
-use plumbline_model::term::effect::{FAMILIES, Spec};
-use plumbline_testkit::bodies::{ROBOTS, cases, model, robot, with_effects};
+use plumbline_model::term::effect::{FAMILIES, Setting, Spec, Stratum};
+use plumbline_testkit::bodies::{Case, ROBOTS, cases, model, robot, with_effects};
 use std::fmt::Write;
 use std::path::Path;
 use std::process::Command;
@@ -69,9 +69,13 @@ fn the_c_function_has_the_effects_of_one_sample() {
         let mut unheld = Vec::new();
         for (index, family) in FAMILIES.iter().enumerate() {
             for form in family.forms {
-                let sites = family.place.sites(robot.chain.len());
+                let sites = family.sites(form, robot.chain.len());
                 let site = sites[(7 * index + form.name.len()) % sites.len()];
-                let settings = form.settings.iter().map(|setting| setting.at(0.4)).collect();
+                // The states lie in the domain of a learned term, beside it and far from it.
+                let within = |setting: &Setting| if setting.name.starts_with("middle") { 0.1 } else { 1.2 };
+                let learned = family.stratum == Stratum::Remainder;
+                let value = |setting: &Setting| if learned { within(setting) } else { setting.at(0.4) };
+                let settings = form.settings.iter().map(value).collect();
                 let spec = Spec { family: family.id, form: form.name, site, settings };
                 let one = with_effects(&plain, std::slice::from_ref(&spec), |_, c| 0.3 - 0.2 * c as f64);
                 if one.terms().last().unwrap().0.spec().is_none() {
@@ -80,6 +84,12 @@ fn the_c_function_has_the_effects_of_one_sample() {
                 }
                 let exported = c::write(&one);
                 if exported.notes.is_empty() {
+                    if learned {
+                        let differs = |(one, plain): (&Case, &Case)| one.tau != plain.tau;
+                        let count =
+                            cases(&one, 30).iter().zip(&cases(&plain, 30)).filter(|pair| differs(*pair)).count();
+                        assert!((2..30).contains(&count), "{spec:?}: in its domain in {count} of 30 states");
+                    }
                     held.push(spec);
                 } else {
                     let note = format!("effect `{}` is ", family.id);

@@ -84,6 +84,7 @@ fn diagnosed() -> Diagnosis {
         held_out_runs: vec!["validate-1.csv".into(), "validate-2.csv".into()],
         noise_floor: FLOOR.to_vec(),
         unexplained: Vec::new(),
+        empirical: Vec::new(),
         disagreements: Vec::new(),
         undetermined: Vec::new(),
         open: Vec::new(),
@@ -113,6 +114,41 @@ fn diagnosed() -> Diagnosis {
         changes: Vec::new(),
         notes: Vec::new(),
     }
+}
+
+/// A learned term of the residual of joint 2, with a law that takes as much.
+fn learned() -> Empirical {
+    Empirical {
+        joint: 2,
+        variables: vec!["q4".into()],
+        share: Some(0.63),
+        rms: BeforeAfter::both([0.11, 0.07]),
+        cap: Some(0.21),
+        in_model: true,
+        withheld: None,
+        symbolic: Some(Symbolic {
+            law: "a sin(3 q4 + phi)".into(),
+            parameters: Parameters(vec![parameter("a", 0.152, 0.004, "Nm"), parameter("phi", 0.61, 0.03, "rad")]),
+            share: Some(0.97),
+        }),
+    }
+}
+
+#[test]
+fn a_learned_term_is_a_sentence_and_a_key_and_no_effect() {
+    let withheld = Empirical { in_model: false, withheld: Some("it does harm".into()), symbolic: None, ..learned() };
+    let mut diagnosis = Diagnosis { empirical: vec![learned(), withheld], ..diagnosed() };
+    diagnosis.unexplained = vec![unexplained()];
+    let lines = summary_of(diagnosis.clone());
+    let expected = "- an empirical term on q4 takes 63 % of what is left in joint 2 where it was not fitted, at most 0.210 Nm in any state; \
+                    RMS of joint 2 on unseen runs 0.110 -> 0.070 Nm; nearly as much takes a sin(3 q4 + phi) (a 0.152 +- 0.004 Nm, \
+                    phi 0.61 +- 0.03 rad)";
+    assert!(lines.iter().any(|line| line == expected), "{lines:#?}");
+    assert!(lines.iter().any(|line| line.ends_with("; not added to the model: it does harm")), "{lines:#?}");
+    assert!(lines[0].starts_with("diagnosis: ") && !lines[0].contains("empirical"), "{}", lines[0]);
+    let value = serde_json::to_value(&diagnosis).unwrap();
+    assert_eq!(value["empirical"][0]["symbolic"]["parameters"]["phi"], 0.61);
+    assert_eq!(serde_json::from_value::<Diagnosis>(value).unwrap(), diagnosis);
 }
 
 fn report(diagnosis: Diagnosis) -> Report {

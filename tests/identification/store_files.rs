@@ -6,7 +6,9 @@ use plumbline_core::BadInput;
 use plumbline_excite::{Constraints, Margins, Plan, PlanUsage, parse_plan, plan_text};
 use plumbline_identify::{Spread, TorqueUncertainty};
 use plumbline_model::term::Sample;
+use plumbline_model::term::effect::{Site, Spec};
 use plumbline_model::{BaseKind, Chain, Conditions, Mounting, Reduction, Robot, Structure, TorqueModel};
+use plumbline_testkit::bodies::with_effects;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -82,6 +84,36 @@ fn a_model_file_round_trips_bitwise() {
         let sample = Sample { q: [0.3; 8], dq: [-0.7; 8], ddq: [2.0; 8] };
         let torque = |file: &ModelFile| file.model.evaluator(&gravity).torque(&sample);
         assert_eq!(torque(&read), torque(&written));
+    }
+}
+
+/// A learned term names its second joint and its domain; without them it would be another function.
+#[test]
+fn a_learned_term_round_trips_and_is_refused_without_its_joints() {
+    let plain = made_up(BaseKind::Gbs).model;
+    let settings = vec![0.1, 1.2, -0.3, 1.0 / 3.0];
+    let spec = Spec { family: "empirical", form: "q-dq", site: Site::Function { row: 2, of: [4, 1] }, settings };
+    let model = with_effects(&plain, std::slice::from_ref(&spec), |_, c| (c as f64).sin());
+    let file = ModelFile { model, uncertainty: None, ..made_up(BaseKind::Gbs) };
+    let text = file.to_toml();
+    let read = parse(&text).unwrap();
+    assert_eq!(read.model.terms().last().unwrap().0.spec(), Some(spec));
+    assert_eq!((read.model.parameters(), read.to_toml()), (file.model.parameters(), text.clone()));
+    let sample = Sample { q: [0.3; 8], dq: [-0.2; 8], ddq: [2.0; 8] };
+    let torque = |model: &TorqueModel| model.evaluator(&Vector3::new(1.0, -2.0, 9.0)).torque(&sample).0;
+    assert_eq!(torque(&read.model), torque(&file.model));
+    assert_ne!(torque(&file.model)[2], torque(&plain)[2]);
+    let unsealed: String =
+        text.lines().filter(|line| !line.starts_with("content = ")).map(|line| format!("{line}\n")).collect();
+    for (line, instead) in [
+        ("cause = 5\n", ""),
+        ("cause = 5\n", "cause = 8\n"),
+        ("reach = 1.2", "reach = 0.0"),
+        ("other = 2", "third = 2"),
+    ] {
+        assert!(unsealed.contains(line), "{line}");
+        let refused = parse(&unsealed.replacen(line, instead, 1)).unwrap_err();
+        assert!(refused.starts_with("model.toml"), "{refused}");
     }
 }
 

@@ -56,11 +56,13 @@ fn the_table_of_effects_is_the_catalogue() {
             effect::Place::Arm => "arm",
             effect::Place::Joint => "joint",
             effect::Place::Pair => "two joints",
+            effect::Place::Function => "up to three joints",
         };
         let stratum = match family.stratum {
             Stratum::Repeatable => "mean period",
             Stratum::Changing => "period to period",
             Stratum::Reference => "earlier model",
+            Stratum::Remainder => "what the others leave",
         };
         let served = if family.is_served() { "yes" } else { "no" };
         let (id, physics, typical) = (family.id, family.physics.trim_end_matches('.'), family.typical);

@@ -164,7 +164,7 @@ fn dependence(residual: &Residual) -> Option<EffectFigure> {
         x: residual.dependence.iter().map(|bin| bin.at).collect(),
         mean: residual.dependence.iter().map(|bin| bin.mean).collect(),
         deviation: residual.dependence.iter().map(|bin| bin.error).collect(),
-        fitted: Vec::new(),
+        ..EffectFigure::default()
     })
 }
 
@@ -183,7 +183,7 @@ fn map(joint: usize, map: &Map) -> Option<MapFigure> {
 }
 
 /// Edges of tiles that have these middles; `None` without tiles.
-fn edges(middles: &[f64]) -> Option<Vec<f64>> {
+pub fn edges(middles: &[f64]) -> Option<Vec<f64>> {
     let (first, last) = (middles.first()?, middles.last()?);
     let half = (last - first) / (2.0 * (middles.len() - 1).max(1) as f64);
     let inner = middles.windows(2).map(|pair| 0.5 * (pair[0] + pair[1]));

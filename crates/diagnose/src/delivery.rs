@@ -9,13 +9,13 @@ use super::outcome::Fitted;
 use super::select::{Found, Selected};
 use super::state::State;
 use super::unseen::Unseen;
-use nalgebra::DVector;
+use nalgebra::{DMatrix, DVector};
 use plumbline_core::parallel;
 use plumbline_identify::solve::{Estimator, Identification, identify_weighted, identify_with};
 use plumbline_identify::{EstimateError, Experiment, Modelled};
 use plumbline_model::TorqueModel;
 use plumbline_model::term::effect::{self, Spec};
-use plumbline_model::term::{Column, Expected};
+use plumbline_model::term::{Column, Expected, Motion};
 
 /// Smallest share of a joint's unmodelled power on unseen runs that its effects explain, to be delivered.
 const MIN_EXPLAINED_RATIO: f64 = 0.5;
@@ -171,17 +171,34 @@ impl Delivery<'_> {
 
     /// Errors of the plain model and of another one on runs; `None` where there are none.
     pub fn compared(&self, after: &Fitted, runs: &[Trial]) -> Option<Compared> {
+        let plain = Fitted { structure: self.input.structure.clone(), identification: self.before.clone() };
+        let nothing = |_: &Trial, motion: &Motion| DMatrix::zeros(motion.samples(), motion.joints());
+        self.errors(&plain, nothing, after, runs)
+    }
+
+    /// The same of two models of the arm without what acts in a part of the recording.
+    pub fn compared_with(&self, before: &Fitted, after: &Fitted, runs: &[Trial]) -> Option<Compared> {
+        self.errors(before, |trial, motion| self.acting.torque(trial, motion), after, runs)
+    }
+
+    /// Errors of two models on runs; `acts` is what acts in a part of the recording beside the first.
+    fn errors(
+        &self,
+        before: &Fitted,
+        acts: impl Fn(&Trial, &Motion) -> DMatrix<f64> + Sync,
+        after: &Fitted,
+        runs: &[Trial],
+    ) -> Option<Compared> {
         if runs.is_empty() {
             return None;
         }
-        let plain = Fitted { structure: self.input.structure.clone(), identification: self.before.clone() };
         // Evaluated causally as in the loop; a regressor may use later samples.
         let model = |fitted: &Fitted| {
             TorqueModel::new("", fitted.structure.clone(), Vec::new(), &fitted.identification.values()).ok()
         };
-        let (plain, after) = (model(&plain)?, model(after)?);
+        let (plain, after) = (model(before)?, model(after)?);
         let each = parallel(runs, self.settings.threads, |trial| {
-            let before = Modelled::of(trial.experiment, |motion| plain.predict(motion));
+            let before = Modelled::of(trial.experiment, |motion| plain.predict(motion) + acts(trial, motion));
             (before, Modelled::of(trial.experiment, |motion| after.predict(motion) + self.acting.torque(trial, motion)))
         });
         let pairs: Vec<_> =

@@ -6,6 +6,7 @@ use super::delivery::{Delivery, Withheld};
 use super::detectable;
 use super::deviations::Deviations;
 use super::disagreement::{Disagreements, disagreements};
+use super::empirical::{Learned, Learning};
 use super::errors::Of;
 use super::evidence::{Evidence, Trial};
 use super::fallback::{self, Residual};
@@ -40,7 +41,7 @@ pub struct Outcome {
     pub diagnosis: Diagnosis,
     /// The model without effects.
     pub before: Fitted,
-    /// The model with those that hold; as before where there is none.
+    /// The model with those that hold and learned terms; as before where there is none.
     pub after: Fitted,
     /// Residuals of joints in which something is left that no effect explains.
     pub residuals: Vec<Residual>,
@@ -140,9 +141,18 @@ pub fn diagnose(input: &Input, settings: &Settings, progress: &dyn Fn(&Step)) ->
         with_drift.as_ref().map_or(own, |before| own.since(&before[joint]))
     };
     let joints: Vec<JointFacts> = (0..evidence.joints()).map(facts).collect();
-    let residuals = residuals(&evidence, left, settings, &joints, &adequacy);
-    let curves = curves::of(&search, &base, left, &residuals);
-    let compared = delivery.compared(&after, input.measuring());
+    let screened = screened(&evidence, left, settings, &joints, &adequacy);
+    let residuals: Vec<Residual> = screened.iter().filter(|one| counts(one, &joints)).cloned().collect();
+    let mut curves = curves::of(&search, &base, left, &residuals);
+    // With unknown noise a joint may be too quiet to be called unexplained and still follow a variable.
+    let found = selected.found.iter().zip(&withheld).filter(|(_, why)| why.is_some());
+    let refused: Vec<usize> = found.map(|(found, _)| found.relevance.joint).collect();
+    let learning = Learning { delivery: &delivery, evidence: &evidence, identified: &identified };
+    let Learned { model, terms: empirical, curves: learned, maps } =
+        learning.of(&after, if evidence.repeats() { &residuals } else { &screened }, &refused)?;
+    curves.effects.extend(learned);
+    curves.maps.extend(maps);
+    let compared = delivery.compared(&model, input.measuring());
     let independences = detectable::independences(&search, &base);
     let others = [veto.clone(), judge.clone()].concat();
     let Disagreements { different, undetermined } =
@@ -159,6 +169,7 @@ pub fn diagnose(input: &Input, settings: &Settings, progress: &dyn Fn(&Step)) ->
         notes: notes(&evidence, input, effects.iter().chain(&hints), &different, &undetermined),
         effects,
         hints,
+        empirical,
         joints,
         disagreements: different,
         undetermined,
@@ -173,10 +184,10 @@ pub fn diagnose(input: &Input, settings: &Settings, progress: &dyn Fn(&Step)) ->
     }
     if settings.judged_by == Of::Raw && diagnosis.noise_floor.is_empty() {
         // Unseen runs that do not repeat: the noise is that of the runs that do.
-        diagnosis.noise_floor = after.identification.rms.noise_floor.clone().unwrap_or_default();
+        diagnosis.noise_floor = model.identification.rms.noise_floor.clone().unwrap_or_default();
     }
     let before = Fitted { structure: structure.clone(), identification: before.clone() };
-    Ok(Outcome { diagnosis, before, after, residuals, curves, open })
+    Ok(Outcome { diagnosis, before, after: model, residuals, curves, open })
 }
 
 /// Remarks on what the findings were tested on, and on effects that are not delivered.
@@ -444,9 +455,8 @@ fn plain_facts(structure: &Structure, trials: &[Trial], settings: &Settings) -> 
     (0..evidence.joints()).map(|joint| facts(&evidence, settings, joint, &base, &base)).collect()
 }
 
-/// Joints in which the model lacks something that no effect explains. Where the noise is not known, those in which what is left over
-/// follows some variables.
-fn residuals(
+/// The residuals of joints in which the model lacks something that no effect explains; where the noise is not known, of all joints.
+fn screened(
     evidence: &Evidence,
     state: &State,
     settings: &Settings,
@@ -463,18 +473,19 @@ fn residuals(
         if evidence.repeats() && (explained || !facts.lacking_after()) {
             continue;
         }
-        let one = fallback::unexplained(evidence, state, joint, settings);
-        let counts = match facts.lack_of_fit.after {
-            // Position noise enters the mean through the model and is not in the scatter of the torques: a flat residual of this size is
-            // noise.
-            Some(after) => !one.flat() || after > MIN_FLAT_LACK_OF_FIT_RATIO,
-            None => one.r2() > MIN_DEPENDENCE_R2,
-        };
-        if counts {
-            found.push(one);
-        }
+        found.push(fallback::unexplained(evidence, state, joint, settings));
     }
     found
+}
+
+/// Whether a residual counts as unexplained. Where the noise is not known, it has to follow some variables.
+fn counts(residual: &Residual, joints: &[JointFacts]) -> bool {
+    match joints[residual.joint].lack_of_fit.after {
+        // Position noise enters the mean through the model and is not in the scatter of the torques: a flat residual of this size is
+        // noise.
+        Some(after) => !residual.flat() || after > MIN_FLAT_LACK_OF_FIT_RATIO,
+        None => residual.r2() > MIN_DEPENDENCE_R2,
+    }
 }
 
 fn verdict(effects: &[Effect], complete: bool, determined: bool) -> Verdict {

@@ -55,6 +55,9 @@ pub struct EffectFigure {
     pub deviation: Vec<f64>,
     /// Fitted torque of the effect: variable and torque \[Nm\]; or the mean of what was fitted in each bin. Drawn as a line.
     pub fitted: Vec<(f64, f64)>,
+    /// Standard deviation of each point of `fitted`, as long or empty \[Nm\]. Drawn as a band of twice that.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub fitted_deviation: Vec<f64>,
 }
 
 /// Power density of one joint's residual, one-sided.

@@ -56,6 +56,8 @@ pub struct Settings {
     pub judged_by: errors::Of,
     /// Wanted half width of the 95 % intervals of effects' parameters, as a share of their values; a wider one is an open question.
     pub until: Option<f64>,
+    /// Highest torque of each joint, n \[Nm\]; empty where it is not known. A learned term gets a share of it.
+    pub torque_limits: Vec<f64>,
     /// Most steps of the selection.
     pub steps: usize,
     /// Threads to work on.
@@ -73,6 +75,7 @@ impl Default for Settings {
             least_share_left_out: 0.2,
             judged_by: errors::Of::Filtered,
             until: None,
+            torque_limits: Vec::new(),
             steps: 12,
             threads: 1,
         }

@@ -3,7 +3,8 @@
 //!
 //! [`Evidence`] (torques and columns as Fourier coefficients with known noise) -> fits and the likelihood that a candidate brings ->
 //! [`library()`] (the candidates) -> [`Search`] (forward selection, backward elimination) with gates -> [`diagnose()`] (unseen runs, adequacy,
-//! verdict) -> [`Outcome`]. What stays unexplained is described by the variables that it follows, [`unexplained()`].
+//! verdict) -> [`Outcome`]. What stays unexplained is described by the variables that it follows, [`unexplained()`], and a learned term without a name
+//! takes what it can ([`outcome::Empirical`]).
 //!
 //! | what | items |
 //! |---|---|
@@ -40,6 +41,7 @@ mod detectable;
 mod deviations;
 mod diagnosis;
 mod disagreement;
+mod empirical;
 pub mod errors;
 mod evidence;
 mod fallback;

@@ -7,7 +7,7 @@ use super::gravity::{Mounting, VERTICAL_TOLERANCE};
 pub use super::parameter::Parameter;
 use super::rnea::LinkParameters;
 use super::structure::{ModelError, Structure};
-use super::term::effect::{self, Setting, Site, Spec};
+use super::term::effect::{self, Place, Setting, Site, Spec};
 use super::term::subset::Subset;
 use super::term::{self, Column, FixedTerm, Motion, Sample, Term, payload, rigid_body};
 use nalgebra::{DMatrix, Vector3};
@@ -38,6 +38,8 @@ pub struct NamedEffect {
     pub joint: Option<usize>,
     /// Joint that causes it, counted from 1.
     pub cause: Option<usize>,
+    /// Second joint that causes it, counted from 1.
+    pub other: Option<usize>,
     /// Nonlinear parameters by name, in any order.
     pub settings: Vec<(String, f64)>,
 }
@@ -299,15 +301,19 @@ impl NamedTerm {
     fn spec(&self) -> Result<Spec, ModelError> {
         let unknown = || ModelError::UnknownTerm { id: self.id.clone() };
         let family = effect::family(&self.id).ok_or_else(unknown)?;
-        let NamedEffect { form: name, joint, cause, settings } = &self.effect;
+        let NamedEffect { form: name, joint, cause, other, settings } = &self.effect;
         let foreign = |what: String| ModelError::Effect { term: self.id.clone(), what };
         let form = family.form(name).ok_or_else(|| foreign(format!("no form `{name}`")))?;
         let from_0 = |joint: usize| joint.checked_sub(1).ok_or_else(|| foreign("no joint 0".into()));
-        let site = match (*joint, *cause) {
-            (None, None) => Site::Arm,
-            (Some(joint), None) => Site::Joint(from_0(joint)?),
-            (Some(row), Some(cause)) => Site::Pair { row: from_0(row)?, cause: from_0(cause)? },
-            (None, Some(_)) => return Err(foreign("no cause without a joint".into())),
+        let site = match (*joint, *cause, *other) {
+            (Some(row), Some(cause), other) if family.place == Place::Function => {
+                Site::Function { row: from_0(row)?, of: [from_0(cause)?, from_0(other.unwrap_or(cause))?] }
+            }
+            (_, _, Some(_)) => return Err(foreign("no second cause".into())),
+            (None, None, None) => Site::Arm,
+            (Some(joint), None, None) => Site::Joint(from_0(joint)?),
+            (Some(row), Some(cause), None) => Site::Pair { row: from_0(row)?, cause: from_0(cause)? },
+            (None, Some(_), None) => return Err(foreign("no cause without a joint".into())),
         };
         if let Some((name, _)) = settings.iter().find(|(name, _)| form.settings.iter().all(|one| one.name != name)) {
             return Err(foreign(format!("no setting `{name}`")));

@@ -8,7 +8,8 @@ mod words;
 pub(super) use page::{TEMPLATES, context};
 pub use plumbline_diagnose::errors::Errors;
 pub use plumbline_diagnose::outcome::{
-    Action, Alternative, BeforeAfter, Changes, Confirmation, Diagnosis, Effect, Folds, JointFacts, MinimumDetectable,
-    NotIdentifiable, Open, OpenKind, Parameters, Quality, Quantity, Score, Step, Stratum, Unexplained, Verdict,
+    Action, Alternative, BeforeAfter, Changes, Confirmation, Diagnosis, Effect, Empirical, Folds, JointFacts,
+    MinimumDetectable, NotIdentifiable, Open, OpenKind, Parameters, Quality, Quantity, Score, Step, Stratum, Symbolic,
+    Unexplained, Verdict,
 };
 pub(super) use words::{lines, name, open_question};

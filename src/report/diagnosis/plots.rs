@@ -100,18 +100,25 @@ pub(super) fn effect(figure: &EffectFigure) -> String {
         .filter(|(x, mean, _)| x.is_finite() && mean.is_finite())
         .collect();
     let fitted = thinned(finite(figure.fitted.iter().copied()));
+    let edge = |sign: f64| {
+        let points = figure.fitted.iter().zip(&figure.fitted_deviation);
+        thinned(finite(points.map(|((x, torque), deviation)| (*x, torque + sign * 2.0 * deviation))))
+    };
+    let (above, below) = (edge(1.0), edge(-1.0));
     if bins.is_empty() && fitted.is_empty() {
         return String::new();
     }
     let x: Vec<f64> = bins.iter().map(|bin| bin.0).chain(fitted.iter().map(|point| point.0)).collect();
-    let y =
-        bins.iter().flat_map(|(_, mean, twice)| [mean - twice, mean + twice]).chain(fitted.iter().map(|point| point.1));
+    let y = bins.iter().flat_map(|(_, mean, twice)| [mean - twice, mean + twice]);
+    let y = y.chain([&fitted, &above, &below].into_iter().flatten().map(|point| point.1));
     let ((left, right), (low, high)) = (span(&x), span(&y.collect::<Vec<_>>()));
     svg((820, 320), |area| {
         let mut chart = framed(&area, left..right, low..high, [&figure.variable, "residual / Nm"], [8, 6])?;
         let bars = bins
             .iter()
             .map(|&(x, mean, twice)| PathElement::new([(x, mean - twice), (x, mean + twice)], EDGE.stroke_width(2)));
+        let band: Vec<(f64, f64)> = above.iter().chain(below.iter().rev()).copied().collect();
+        chart.draw_series((band.len() > 2).then(|| Polygon::new(band, BAND.filled())))?;
         chart.draw_series(bars)?;
         chart.draw_series(bins.iter().map(|&(x, mean, _)| Circle::new((x, mean), 4, BEFORE.filled())))?;
         chart.draw_series(LineSeries::new(fitted, AFTER.stroke_width(2)))?;

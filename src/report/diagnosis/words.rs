@@ -1,7 +1,8 @@
 //! A diagnosis in plain words.
 
 use super::{
-    Changes, Confirmation, Diagnosis, Effect, Errors, Open, OpenKind, Quantity, Stratum, Unexplained, Verdict,
+    Changes, Confirmation, Diagnosis, Effect, Empirical, Errors, Open, OpenKind, Quantity, Stratum, Symbolic,
+    Unexplained, Verdict,
 };
 use crate::report::Band;
 use crate::report::summary::{CHANGED, band_of, digits};
@@ -20,6 +21,7 @@ pub(in crate::report) fn lines(of: &Diagnosis) -> Vec<String> {
     };
     let mut lines = vec![format!("diagnosis: {verdict}")];
     lines.extend(findings.iter().map(|finding| format!("- {finding}")));
+    lines.extend(of.empirical.iter().map(|term| format!("- {}", empirical(term))));
     errors(of, &mut lines);
     lines.extend(open(of).map(|question| format!("open: {question}")));
     lines.extend(of.notes.iter().map(|note| format!("note: {note}")));
@@ -245,6 +247,27 @@ pub(super) fn unexplained(of: &Unexplained) -> String {
     text
 }
 
+/// What a learned term takes of a joint's residual, in one sentence.
+pub(super) fn empirical(of: &Empirical) -> String {
+    let joint = of.joint;
+    let share = of.share.map_or("a part".to_string(), |share| format!("{:.0} %", 100.0 * share));
+    let mut text = format!("{} takes {share} of what is left in joint {joint} where it was not fitted", of.name());
+    if let Some(cap) = of.cap {
+        text += &format!(", at most {} Nm in any state", fixed(cap));
+    }
+    if let (Some(before), Some(after)) = (of.rms.before, of.rms.after) {
+        text += &format!("; RMS of joint {joint} on unseen runs {} -> {} Nm", fixed(before), fixed(after));
+    }
+    if let Some(Symbolic { law, parameters, .. }) = &of.symbolic {
+        let values: Vec<String> = parameters.0.iter().map(|p| format!("{} {}", p.name, quantity(p, "+-"))).collect();
+        text += &format!("; nearly as much takes {law} ({})", values.join(", "));
+    }
+    if let Some(why) = &of.withheld {
+        text += &format!("; not added to the model: {why}");
+    }
+    text
+}
+
 fn changes(of: &Changes, confirmation: Option<Confirmation>) -> String {
     let effects: Vec<String> = of.effects.iter().map(|effect| finding(effect, confirmation)).collect();
     let effects = if effects.is_empty() { "nothing changed".to_string() } else { effects.join("; ") };
@@ -318,9 +341,10 @@ fn unmodelled(of: &Diagnosis, joint: usize) -> Option<String> {
     Some(format!("; unmodelled torque of the mean period {} -> {} Nm", fixed(before), fixed(after)))
 }
 
-/// Whether the delivered model has effects that the one before had not, or was identified without what acts in a part of the recording.
+/// Whether the delivered model has effects or learned terms that the one before had not, or was identified without what acts in a part of the recording.
 pub(super) fn grown(of: &Diagnosis) -> bool {
-    !of.after.validate_rms.is_empty() && of.effects.iter().any(Effect::counts)
+    let learned = of.empirical.iter().any(|term| term.in_model);
+    !of.after.validate_rms.is_empty() && (learned || of.effects.iter().any(Effect::counts))
 }
 
 /// The joint whose error is farthest above its noise.

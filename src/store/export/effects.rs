@@ -82,14 +82,18 @@ pub(super) fn column(program: &mut Program, spec: &Spec, c: usize, load: &[Value
     let (InC::Columns(columns) | InC::Part { columns, .. }) = spec.family().ok()?.form(spec.form)?.in_c else {
         return None;
     };
-    let (row, cause) = joints(spec.site);
+    let [row, cause, other] = joints(spec.site);
     let inputs = Inputs {
         q: format!("q[{row}]"),
         dq: format!("dq[{row}]"),
         sign: expression(&sign(program, row)),
+        cause_q: format!("q[{cause}]"),
         cause_dq: format!("dq[{cause}]"),
         cause_ddq: format!("ddq[{cause}]"),
         cause_sign: expression(&sign(program, cause)),
+        other_q: format!("q[{other}]"),
+        other_dq: format!("dq[{other}]"),
+        other_sign: expression(&sign(program, other)),
         load: load.get(cause).map_or(String::new(), expression),
     };
     let text = columns(&inputs, &spec.settings).into_iter().nth(c)?;
@@ -113,10 +117,12 @@ fn sign(program: &mut Program, joint: usize) -> Value {
     program.named(format!("s{joint}"), format!("tanh({SHARPNESS:?}*dq[{joint}])"))
 }
 
-fn joints(site: Site) -> (usize, usize) {
+/// Row, cause and second cause.
+fn joints(site: Site) -> [usize; 3] {
     match site {
-        Site::Pair { row, cause } => (row, cause),
-        Site::Joint(joint) => (joint, joint),
-        Site::Arm => (0, 0),
+        Site::Function { row, of: [cause, other] } => [row, cause, other],
+        Site::Pair { row, cause } => [row, cause, cause],
+        Site::Joint(joint) => [joint; 3],
+        Site::Arm => [0; 3],
     }
 }

@@ -23,6 +23,7 @@ fn figures() -> Curves {
         mean: x.iter().map(|x| curve(*x) + noise(0.004)).collect(),
         deviation: vec![0.004; 30],
         fitted: (0..200).map(|k| (k as f64 * 0.058, curve(k as f64 * 0.058))).collect(),
+        fitted_deviation: Vec::new(),
         x,
     };
     let f: Vec<f64> = (1..400).map(|k| k as f64 * 0.05).collect();
@@ -200,7 +201,14 @@ fn pages_of_much_little_and_odd_content() {
 
     let mut lost = diagnosed();
     (lost.verdict, lost.effects, lost.unexplained) = (Verdict::Unexplained, Vec::new(), vec![unexplained()]);
-    let lost = page("unexplained", &report(lost), figures());
+    lost.empirical = vec![learned()];
+    let mut curves = figures();
+    let plain = page("unexplained", &report(lost.clone()), curves.clone());
+    curves.effects[0].fitted_deviation = vec![0.02; curves.effects[0].fitted.len()];
+    let lost = page("learned", &report(lost), curves);
+    assert!(lost.contains("<h3>Empirical</h3>") && lost.contains("<li>an empirical term on q4 takes 63 %"));
+    let polygons = |page: &str| page.matches("<polygon").count();
+    assert_eq!(polygons(&lost), polygons(&plain) + 1, "the band of the curve");
     assert!(lost.contains("<span>Unexplained</span>: a residual in joint 2</h2>") && lost.contains("verdict bad"));
 
     let payload = Effect { id: "payload".into(), joints: vec![7], ..presliding(7) };

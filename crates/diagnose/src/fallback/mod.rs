@@ -8,23 +8,24 @@ mod screen;
 mod variable;
 mod words;
 
+pub(super) use place::Signals;
 pub use place::{Dependence, Line, Map, Window};
+pub(super) use screen::{Part, gained, parts};
 pub use variable::Variable;
+pub(super) use variable::{Course, products};
 
 use super::evidence::{BAND_EDGES_HZ, Evidence};
 use super::fit::group;
 use super::input::Settings;
 use super::outcome::{LACK_OF_FIT_RATIO, Unexplained};
 use super::state::State;
-use place::Signals;
 use plumbline_core::parallel;
 use screen::Screen;
-use variable::{Course, products};
 
 /// A residual of which the best variables predict less than this share is flat.
 pub const MIN_DEPENDENT_R2: f64 = 0.1;
 /// A second variable has to add so much to the share that one predicts.
-const MIN_SECOND_VARIABLE_R2: f64 = 0.05;
+pub(super) const MIN_SECOND_VARIABLE_R2: f64 = 0.05;
 
 /// How well variables predict a residual.
 #[derive(Clone, Debug, PartialEq)]
@@ -79,6 +80,13 @@ impl Residual {
         if self.depends_on.len() == 2 { best(&self.pairs) } else { best(&self.singles) }
     }
 
+    /// R2 of the best variables that a model can follow: positions and velocities.
+    pub fn best_servable(&self) -> f64 {
+        let served = |variable: &Variable| matches!(variable, Variable::Position(_) | Variable::Velocity(_));
+        let servable = self.singles.iter().chain(&self.pairs).filter(|one| one.variables.iter().all(served));
+        servable.map(|one| one.r2).fold(f64::NEG_INFINITY, f64::max)
+    }
+
     /// As it stands in files; `floor` is the noise of the mean period \[Nm\].
     pub fn unexplained(&self, floor: Option<f64>) -> Unexplained {
         Unexplained {
@@ -121,7 +129,7 @@ pub fn lacks(evidence: &Evidence, state: &State, joint: usize, settings: &Settin
 
 /// Analyses the residual of one joint, from 0.
 pub fn unexplained(evidence: &Evidence, state: &State, joint: usize, settings: &Settings) -> Residual {
-    let courses = courses(evidence);
+    let courses = Course::all(evidence);
     let screen = Screen::of(evidence, state, joint);
     let sorted = |mut list: Vec<Predictor>| {
         list.sort_by(|a, b| b.r2.total_cmp(&a.r2));
@@ -173,12 +181,4 @@ pub fn unexplained(evidence: &Evidence, state: &State, joint: usize, settings: &
     found.findings = words::findings(&found);
     found.experiments = words::experiments(&found, evidence);
     found
-}
-
-/// Every variable that changes in these motions.
-fn courses(evidence: &Evidence) -> Vec<Course> {
-    let joints = 0..evidence.joints();
-    let of_joint = |joint| [Variable::Position(joint), Variable::Velocity(joint), Variable::Acceleration(joint)];
-    let motions = || (0..evidence.experiments()).map(|experiment| evidence.motion(experiment));
-    joints.flat_map(of_joint).chain([Variable::Time]).filter_map(|variable| Course::of(variable, motions())).collect()
 }

@@ -70,7 +70,7 @@ pub struct Map {
 }
 
 /// The residual of a joint as a signal, fold by fold \[Nm\].
-pub(super) struct Signals<'a> {
+pub struct Signals<'a> {
     evidence: &'a Evidence,
     coefficients: Vec<Vec<f64>>,
     signals: Vec<Vec<f64>>,

@@ -26,13 +26,34 @@ pub(super) struct Screen<'a> {
     spread: DMatrix<f64>,
     /// The residual, in parts that are left out in turn.
     residual: Vec<DVector<f64>>,
-    by_time: bool,
 }
 
-/// Sums of products of one part of the data.
-struct Part {
-    g: DMatrix<f64>,
-    b: DVector<f64>,
+/// Sums of products of functions `C` and a residual `r` over a part of the data.
+pub struct Part {
+    /// `C'C`.
+    pub g: DMatrix<f64>,
+    /// `C'r`.
+    pub b: DVector<f64>,
+}
+
+impl Part {
+    /// Of functions and a residual.
+    pub fn of(c: &DMatrix<f64>, r: &DVector<f64>) -> Part {
+        Part { g: c.tr_mul(c), b: c.tr_mul(r) }
+    }
+
+    /// Of `width` functions and no data.
+    pub fn zero(width: usize) -> Part {
+        Part { g: DMatrix::zeros(width, width), b: DVector::zeros(width) }
+    }
+}
+
+impl std::ops::Add<&Part> for Part {
+    type Output = Part;
+
+    fn add(self, other: &Part) -> Part {
+        Part { g: self.g + &other.g, b: self.b + &other.b }
+    }
 }
 
 impl Screen<'_> {
@@ -44,11 +65,10 @@ impl Screen<'_> {
             let weight = 1.0 / state.fit.phi[group(joint, cell.band.min(BAND_EDGES_HZ.len() - 1))];
             weighed.rows_mut(cell.rows.start, cell.rows.len()).scale_mut(weight);
         }
-        let by_time = evidence.folds().len() < 2;
         let weighed = weighed.transpose();
-        let mut screen = Screen { evidence, joint, weighed, spread: m * &state.fit.h, residual: Vec::new(), by_time };
+        let mut screen = Screen { evidence, joint, weighed, spread: m * &state.fit.h, residual: Vec::new() };
         let residual = DMatrix::from_columns(&[state.residual(joint)]);
-        screen.residual = screen.parts(&residual).iter().map(|part| part.column(0).into_owned()).collect();
+        screen.residual = parts(evidence, &residual).iter().map(|part| part.column(0).into_owned()).collect();
         screen
     }
 
@@ -62,51 +82,41 @@ impl Screen<'_> {
         for (mut column, scale) in c.column_iter_mut().zip(&scale) {
             column /= *scale;
         }
-        let parts: Vec<Part> = self
-            .parts(&c)
-            .iter()
-            .zip(&self.residual)
-            .map(|(c, r)| Part { g: c.transpose() * c, b: c.tr_mul(r) })
-            .collect();
-        let (mut g, mut b) = (DMatrix::zeros(c.ncols(), c.ncols()), DVector::zeros(c.ncols()));
-        for part in &parts {
-            g += &part.g;
-            b += &part.b;
-        }
+        let parts: Vec<Part> =
+            parts(self.evidence, &c).iter().zip(&self.residual).map(|(c, r)| Part::of(c, r)).collect();
+        let whole = parts.iter().fold(Part::zero(c.ncols()), |sum, part| sum + part);
         let total: f64 = self.residual.iter().map(DVector::norm_squared).sum();
         let ridge = |ridge: f64| {
-            let left: Option<f64> = parts.iter().map(|part| left_out(&g, &b, part, ridge)).sum();
+            let penalty = DMatrix::identity(c.ncols(), c.ncols()) * ridge;
+            let left: Option<f64> = parts.iter().map(|part| gained(&whole, part, &penalty)).sum();
             left.map_or(f64::NEG_INFINITY, |gained| gained / total)
         };
         RIDGE_RATIOS.into_iter().map(ridge).fold(f64::NEG_INFINITY, f64::max)
     }
-
-    /// Rows of each fold; of a single one, its samples in stretches of time.
-    fn parts(&self, rows: &DMatrix<f64>) -> Vec<DMatrix<f64>> {
-        let folds = self.evidence.folds();
-        if !self.by_time {
-            return folds.iter().map(|fold| rows.rows(fold.rows.start, fold.rows.len()).into_owned()).collect();
-        }
-        let samples = self.evidence.thinned(0).len();
-        let step = (samples as f64 / (SAMPLES_PER_ROW * rows.nrows() as f64)).floor().max(1.0) as usize;
-        let scale = (step as f64).sqrt();
-        let signals: Vec<Vec<f64>> =
-            rows.column_iter().map(|column| self.evidence.signal(0, column.into_owned().as_slice())).collect();
-        let count = samples / step;
-        let stretch = |part: usize| {
-            let (first, last) = (part * count / STRETCH_COUNT, (part + 1) * count / STRETCH_COUNT);
-            DMatrix::from_fn(last - first, rows.ncols(), |k, c| scale * signals[c][(first + k) * step])
-        };
-        (0..STRETCH_COUNT).map(stretch).collect()
-    }
 }
 
-/// How much of the square of a part goes when the functions, fitted to all others, are taken off it.
-fn left_out(g: &DMatrix<f64>, b: &DVector<f64>, part: &Part, ridge: f64) -> Option<f64> {
-    let mut others = g - &part.g;
-    for k in 0..others.nrows() {
-        others[(k, k)] += ridge;
+/// Rows of each fold; of a single one, its samples in stretches of time.
+pub fn parts(evidence: &Evidence, rows: &DMatrix<f64>) -> Vec<DMatrix<f64>> {
+    let folds = evidence.folds();
+    if folds.len() > 1 {
+        return folds.iter().map(|fold| rows.rows(fold.rows.start, fold.rows.len()).into_owned()).collect();
     }
-    let gamma = others.cholesky()?.solve(&(b - &part.b));
+    let samples = evidence.thinned(0).len();
+    let step = (samples as f64 / (SAMPLES_PER_ROW * rows.nrows() as f64)).floor().max(1.0) as usize;
+    let scale = (step as f64).sqrt();
+    let signals: Vec<Vec<f64>> =
+        rows.column_iter().map(|column| evidence.signal(0, column.into_owned().as_slice())).collect();
+    let count = samples / step;
+    let stretch = |part: usize| {
+        let (first, last) = (part * count / STRETCH_COUNT, (part + 1) * count / STRETCH_COUNT);
+        DMatrix::from_fn(last - first, rows.ncols(), |k, c| scale * signals[c][(first + k) * step])
+    };
+    (0..STRETCH_COUNT).map(stretch).collect()
+}
+
+/// How much of the square of a part goes when the functions, fitted to all others with a penalty `c' P c` on their coefficients, are taken off it;
+/// `None` where they can't be fitted.
+pub fn gained(whole: &Part, part: &Part, penalty: &DMatrix<f64>) -> Option<f64> {
+    let gamma = (&whole.g - &part.g + penalty).cholesky()?.solve(&(&whole.b - &part.b));
     Some(2.0 * part.b.dot(&gamma) - (&part.g * &gamma).dot(&gamma))
 }

@@ -1,14 +1,10 @@
 //! What a residual may depend on, and smooth functions of it.
 
+use crate::evidence::Evidence;
 use nalgebra::DMatrix;
 use plumbline_model::term::Motion;
-use plumbline_model::term::friction::SHARPNESS;
+use plumbline_model::term::empirical::{Axis, Follows};
 use std::fmt;
-
-/// Functions of a single variable.
-const SINGLE_FUNCTIONS: usize = 10;
-/// Functions of each of two variables.
-const PAIR_FUNCTIONS: usize = 5;
 
 /// A quantity of a joint, or the time since the start of a period. Joints count from 0.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -67,7 +63,7 @@ impl fmt::Display for Variable {
 
 /// A variable along several motions.
 #[derive(Clone, Debug)]
-pub(super) struct Course {
+pub struct Course {
     /// Which one.
     pub variable: Variable,
     /// Its values, motion by motion.
@@ -85,44 +81,48 @@ impl Course {
         (range.1 - range.0 > 1e-6).then_some(Course { variable, values, range })
     }
 
+    /// Every variable that changes in the motions of these runs.
+    pub fn all(evidence: &Evidence) -> Vec<Course> {
+        let joints = 0..evidence.joints();
+        let of_joint = |joint| [Variable::Position(joint), Variable::Velocity(joint), Variable::Acceleration(joint)];
+        let motions = || (0..evidence.experiments()).map(|experiment| evidence.motion(experiment));
+        let each = joints.flat_map(of_joint).chain([Variable::Time]);
+        each.filter_map(|variable| Course::of(variable, motions())).collect()
+    }
+
     /// Smooth functions of it, N x functions in each motion: B-splines over its range, and for a velocity its sign.
     pub fn functions(&self) -> Vec<DMatrix<f64>> {
-        let splines = if self.is_velocity() { SINGLE_FUNCTIONS - 1 } else { SINGLE_FUNCTIONS };
-        self.basis(splines, 3)
+        let axis = self.axis();
+        self.sampled(|value| axis.fine(value))
     }
 
     /// The same, fewer of them, for a product with those of another variable.
     pub fn coarse(&self) -> Vec<DMatrix<f64>> {
-        let splines = if self.is_velocity() { PAIR_FUNCTIONS - 1 } else { PAIR_FUNCTIONS };
-        self.basis(splines, 2)
+        let axis = self.axis();
+        self.sampled(|value| axis.coarse(value))
     }
 
-    fn is_velocity(&self) -> bool {
-        matches!(self.variable, Variable::Velocity(_))
+    /// The functions that a learned term of it has, over its range.
+    pub fn axis(&self) -> Axis {
+        let follows = match self.variable {
+            Variable::Velocity(_) => Follows::Velocity,
+            _ => Follows::Position,
+        };
+        let (low, high) = self.range;
+        Axis { follows, middle: 0.5 * (low + high), reach: 0.5 * (high - low) }
     }
 
-    fn basis(&self, splines: usize, degree: usize) -> Vec<DMatrix<f64>> {
-        let width = splines + usize::from(self.is_velocity());
+    fn sampled<const N: usize>(&self, functions: impl Fn(f64) -> [f64; N]) -> Vec<DMatrix<f64>> {
         let of_motion = |values: &Vec<f64>| {
-            let mut basis = DMatrix::zeros(values.len(), width);
-            for (k, &value) in values.iter().enumerate() {
-                let share = (value - self.range.0) / (self.range.1 - self.range.0);
-                let place = share * (splines - degree) as f64;
-                for s in 0..splines {
-                    basis[(k, s)] = b_spline(degree, place - s as f64 + degree as f64);
-                }
-                if self.is_velocity() {
-                    basis[(k, splines)] = (SHARPNESS * value).tanh();
-                }
-            }
-            basis
+            let rows = values.iter().flat_map(|&value| functions(value));
+            DMatrix::from_row_iterator(values.len(), N, rows)
         };
         self.values.iter().map(of_motion).collect()
     }
 }
 
 /// Every product of a function of one and a function of the other variable.
-pub(super) fn products(a: &[DMatrix<f64>], b: &[DMatrix<f64>]) -> Vec<DMatrix<f64>> {
+pub fn products(a: &[DMatrix<f64>], b: &[DMatrix<f64>]) -> Vec<DMatrix<f64>> {
     let of_motion = |(a, b): (&DMatrix<f64>, &DMatrix<f64>)| {
         let mut both = DMatrix::zeros(a.nrows(), a.ncols() * b.ncols());
         for i in 0..a.ncols() {
@@ -133,32 +133,4 @@ pub(super) fn products(a: &[DMatrix<f64>], b: &[DMatrix<f64>]) -> Vec<DMatrix<f6
         both
     };
     a.iter().zip(b).map(of_motion).collect()
-}
-
-/// The cardinal B-spline of a degree, which is not zero between 0 and `degree + 1` (Cox and de Boor's recursion for whole knots).
-fn b_spline(degree: usize, x: f64) -> f64 {
-    let d = degree as f64;
-    if !(0.0..=d + 1.0).contains(&x) {
-        return 0.0;
-    }
-    if degree == 0 {
-        return if x < 1.0 { 1.0 } else { 0.0 };
-    }
-    (x * b_spline(degree - 1, x) + (d + 1.0 - x) * b_spline(degree - 1, x - 1.0)) / d
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn splines_sum_to_one_over_the_range() {
-        for (splines, degree) in [(10, 3), (5, 2)] {
-            for step in 0..=200 {
-                let place = step as f64 / 200.0 * (splines - degree) as f64;
-                let sum: f64 = (0..splines).map(|s| b_spline(degree, place - s as f64 + degree as f64)).sum();
-                assert!((sum - 1.0).abs() < 1e-12, "degree {degree}, {place}: {sum}");
-            }
-        }
-    }
 }

@@ -142,6 +142,9 @@ pub struct Diagnosis {
     pub noise_floor: Vec<f64>,
     /// Joints with a residual that no effect explains.
     pub unexplained: Vec<Unexplained>,
+    /// Learned terms for what stays unexplained; the verdict does not count them.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub empirical: Vec<Empirical>,
     /// Unseen runs that the delivered model predicts worse than the runs it was identified from: something differs between them.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub disagreements: Vec<Disagreement>,
@@ -199,6 +202,41 @@ pub struct Unexplained {
     /// What else is known: spectral lines, where and when it occurs.
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub note: String,
+}
+
+/// A learned term on what the named effects leave of a joint's torque.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Empirical {
+    /// Joint, from 1.
+    pub joint: usize,
+    /// The variables that it follows: `q4`, `dq2`.
+    pub variables: Vec<String>,
+    /// Share of the square of what is left that it predicts in trajectories or blocks that were left out of its fit, R2.
+    pub share: Option<f64>,
+    /// RMS of the joint on the runs that errors are measured on, without and with it \[Nm\].
+    pub rms: BeforeAfter,
+    /// Largest torque that it has in any state \[Nm\].
+    pub cap: Option<f64>,
+    /// Whether the delivered model has it.
+    pub in_model: bool,
+    /// Why the delivered model has it not.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub withheld: Option<String>,
+    /// A simple law that takes nearly as much.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub symbolic: Option<Symbolic>,
+}
+
+/// A simple law of one variable.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Symbolic {
+    /// The law, with its parameters by name: `a sin(3 q4 + phi)`.
+    pub law: String,
+    /// Its parameters.
+    #[serde(flatten)]
+    pub parameters: Parameters,
+    /// Share of what the learned term takes that it takes.
+    pub share: Option<f64>,
 }
 
 /// An unseen run that the delivered model predicts worse than the runs it was identified from.
@@ -434,6 +472,11 @@ impl BeforeAfter {
 }
 
 impl Diagnosis {
+    /// Whether the delivered model has effects or learned terms that the plain one has not.
+    pub fn grows(&self) -> bool {
+        self.effects.iter().any(|effect| effect.in_model) || self.empirical.iter().any(|term| term.in_model)
+    }
+
     /// Takes over errors on held-out runs.
     pub(super) fn set_errors(&mut self, compared: Compared) {
         self.before = compared.before;

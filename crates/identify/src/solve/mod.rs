@@ -154,6 +154,33 @@ impl Identification {
         self.std.iter().zip(&self.freedom).map(|(std, &freedom)| std.map(|std| student_975(freedom) * std)).collect()
     }
 
+    /// With more columns at the end of its structure, whose `k` parameters were estimated afterwards with all others held: their covariance is
+    /// k x k, and they have none with the others.
+    ///
+    /// # Errors
+    /// [`EstimateError::TooFewRows`] without experiments.
+    pub fn extended(
+        &self,
+        structure: &Structure,
+        experiments: &[Experiment],
+        beta: &[f64],
+        covariance: &DMatrix<f64>,
+        freedom: f64,
+    ) -> Result<Identification, EstimateError> {
+        let (before, columns) = (self.columns.len(), structure.columns().to_vec());
+        let mut all = self.clone();
+        all.beta.extend(beta);
+        all.std.extend(covariance.diagonal().iter().map(|variance| Some(variance.max(0.0).sqrt())));
+        all.freedom.resize(columns.len(), freedom);
+        all.covariance = all.covariance.resize(columns.len(), columns.len(), 0.0);
+        all.covariance.view_mut((before, before), covariance.shape()).copy_from(covariance);
+        all.rank += beta.len();
+        let each = parallel(experiments, threads(), |experiment| validate_parameters(experiment, structure, &all.beta));
+        all.rms = Rms::pooled(&each).ok_or(EstimateError::TooFewRows { rows: self.rows, columns: columns.len() })?;
+        all.runs = self.runs.iter().map(|(name, _)| name.clone()).zip(each).collect();
+        Ok(Identification { columns, ..all })
+    }
+
     /// Values with their standard deviations, as input of `TorqueModel::new`.
     pub fn values(&self) -> Vec<(f64, Option<f64>)> {
         self.beta.iter().copied().zip(self.std.iter().copied()).collect()

@@ -51,6 +51,7 @@ pub static FAMILIES: &[&Family] = &[
     &encoder_offset::FAMILY,
     &encoder_eccentricity::FAMILY,
     &backlash::FAMILY,
+    &empirical::FAMILY,
     #[cfg(feature = "made-up-effect")]
     &made_up::FAMILY,
 ];

@@ -93,7 +93,7 @@ impl Spec {
             form: self.form.to_string(),
             known: family.forms.iter().map(|form| format!("`{}`", form.name)).collect::<Vec<_>>().join(", "),
         })?;
-        if !family.place.sites(operating_point.chain.len()).contains(&self.site) {
+        if !family.sites(form, operating_point.chain.len()).contains(&self.site) {
             return Err(EffectError::Site { family: family.id, site: self.site });
         }
         if self.settings.len() != form.settings.len() {

@@ -64,6 +64,8 @@ pub struct Rare {
     pub comes_at_once: bool,
     /// Its part in a description of rigid bodies (URDF, MJCF).
     pub in_bodies: InBodies,
+    /// Whether a form, by its name, can be at a site of the family's place.
+    pub fits: fn(&str, Site) -> bool,
     /// The effect that one of its forms can be a part of.
     pub part_of: Option<PartOf>,
     /// The parameter of a stored model that a column of this effect changes, by the column's name.
@@ -81,6 +83,7 @@ impl Rare {
         may_change: false,
         comes_at_once: false,
         in_bodies: InBodies::Nothing,
+        fits: |_, _| true,
         part_of: None,
         changed_parameter: |name| name,
         quantities: quantity::own,
@@ -110,15 +113,24 @@ pub enum Site {
         /// The joint that causes it.
         cause: usize,
     },
+    /// A function of the motion of two joints, or of one where the two are the same.
+    Function {
+        /// The joint whose torque it is.
+        row: usize,
+        /// The joints of the first and of the second variable.
+        of: [usize; 2],
+    },
 }
 
 impl Site {
-    /// Its joints: none, one, or row and cause.
+    /// Its joints: none, one, or row and causes.
     pub fn joints(self) -> Vec<usize> {
         match self {
             Site::Arm => Vec::new(),
             Site::Joint(joint) => vec![joint],
             Site::Pair { row, cause } => vec![row, cause],
+            Site::Function { row, of: [first, second] } if first == second => vec![row, first],
+            Site::Function { row, of: [first, second] } => vec![row, first, second],
         }
     }
 
@@ -133,7 +145,13 @@ impl fmt::Display for Site {
         match self {
             Site::Arm => f.write_str("the arm"),
             Site::Joint(joint) => write!(f, "joint {}", joint + 1),
+            Site::Function { row, of: [first, second] } if first == second => {
+                write!(f, "joint {} from joint {}", row + 1, first + 1)
+            }
             Site::Pair { row, cause } => write!(f, "joint {} from joint {}", row + 1, cause + 1),
+            Site::Function { row, of: [first, second] } => {
+                write!(f, "joint {} from joints {} and {}", row + 1, first + 1, second + 1)
+            }
         }
     }
 }
@@ -147,6 +165,8 @@ pub enum Place {
     Joint,
     /// [`Site::Pair`], two different joints.
     Pair,
+    /// [`Site::Function`], any joints.
+    Function,
 }
 
 impl Place {
@@ -157,6 +177,10 @@ impl Place {
             Place::Arm => vec![Site::Arm],
             Place::Joint => (0..n).map(Site::Joint).collect(),
             Place::Pair => (0..n).flat_map(pair).collect(),
+            Place::Function => {
+                let site = |k: usize| Site::Function { row: k / (n * n), of: [k / n % n, k % n] };
+                (0..n * n * n).map(site).collect()
+            }
         }
     }
 }
@@ -228,6 +252,8 @@ pub enum Stratum {
     Changing,
     /// Differences between sessions, or from an earlier model: within one session the base parameters absorb it.
     Reference,
+    /// What all named effects leave: fitted last, never searched for in their place.
+    Remainder,
 }
 
 /// An effect or parameter with similar columns.
@@ -307,12 +333,20 @@ pub struct Inputs {
     pub dq: String,
     /// `tanh(100 dq)` of the row's joint.
     pub sign: String,
+    /// Position of the cause.
+    pub cause_q: String,
     /// Velocity of the cause.
     pub cause_dq: String,
     /// Acceleration of the cause.
     pub cause_ddq: String,
     /// `tanh(100 dq)` of the cause.
     pub cause_sign: String,
+    /// Position of the second joint of a function.
+    pub other_q: String,
+    /// Velocity of the second joint of a function.
+    pub other_dq: String,
+    /// `tanh(100 dq)` of the second joint of a function.
+    pub other_sign: String,
     /// Rigid-body torque of the cause.
     pub load: String,
 }
@@ -366,6 +400,11 @@ impl Family {
         self.stratum != Stratum::Changing
     }
 
+    /// Every site of an arm with `n` joints that a form can be at.
+    pub fn sites(&self, form: &Form, n: usize) -> Vec<Site> {
+        self.place.sites(n).into_iter().filter(|site| (self.rare.fits)(form.name, *site)).collect()
+    }
+
     /// Its form of that name.
     pub fn form(&self, name: &str) -> Option<&'static Form> {
         self.forms.iter().find(|form| form.name == name)
@@ -383,7 +422,7 @@ impl Form {
 pub(super) fn joint(site: Site) -> usize {
     match site {
         Site::Joint(joint) => joint,
-        Site::Pair { row, .. } => row,
+        Site::Pair { row, .. } | Site::Function { row, .. } => row,
         Site::Arm => 0,
     }
 }

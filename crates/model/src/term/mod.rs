@@ -14,6 +14,7 @@ pub mod contact;
 mod coulomb_slope;
 mod delay;
 pub mod effect;
+pub mod empirical;
 mod encoder_eccentricity;
 mod encoder_offset;
 mod family;

@@ -130,6 +130,8 @@ impl<L: Law> OneRow<L> {
         match self.spec.site {
             Site::Pair { row, cause } => (row, cause),
             Site::Joint(joint) => (joint, joint),
+            // No law of one row is a function of two joints.
+            Site::Function { row, of: [cause, _] } => (row, cause),
             Site::Arm => (0, 0),
         }
     }

@@ -13,7 +13,7 @@ use std::collections::BTreeSet;
 const IDS: &str = "torque-offset torque-gain asymmetric-coulomb asymmetric-viscous stribeck coulomb-slope nonlinear-viscous \
     load-dependent-friction friction-drift offset-drift presliding rotor-inertia joint-elasticity position-ripple \
     position-dependent-friction spring payload mounting base-motion torque-crosstalk transmission-coupling delay contact \
-    encoder-offset encoder-eccentricity backlash friction-change";
+    encoder-offset encoder-eccentricity backlash friction-change empirical";
 
 #[test]
 fn the_catalogue_is_complete() {
@@ -106,8 +106,8 @@ fn columns_of_different_effects_have_different_names() {
     let model = rigid_model("panda", &mut rng);
     let mut names = BTreeSet::new();
     for family in FAMILIES {
-        for site in family.place.sites(7) {
-            let form = &family.forms[0];
+        let form = &family.forms[0];
+        for site in family.sites(form, 7) {
             let settings: Vec<f64> = form.settings.iter().map(|setting| setting.at(0.4)).collect();
             let spec = effect(family.id, form.name, site, &settings);
             for column in spec.build(&operating_point(&model)).unwrap().columns() {

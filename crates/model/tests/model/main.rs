@@ -4,6 +4,7 @@ mod base;
 mod catalogue;
 mod dynamics;
 mod effects;
+mod empirical;
 mod fast;
 mod golden;
 mod models;

@@ -50,14 +50,20 @@ pub fn operating_point(model: &TorqueModel) -> OperatingPoint {
 
 /// Every form of a family at a random site with random settings.
 pub fn specs(family: &'static Family, n: usize, rng: &mut ChaCha8Rng) -> Vec<Spec> {
-    let sites = family.place.sites(n);
     let mut spec = |form: &'static Form| Spec {
         family: family.id,
         form: form.name,
-        site: sites[rng.random_range(0..sites.len())],
+        site: {
+            let sites = family.sites(form, n);
+            sites[rng.random_range(0..sites.len())]
+        },
         settings: match family.id {
             // A window inside the motion.
             "contact" => vec![12.5, 15.5],
+            // A domain that the motion leaves and comes back to.
+            "empirical" => {
+                form.settings.iter().map(|one| if one.name.starts_with("middle") { 0.1 } else { 0.7 }).collect()
+            }
             _ => form.settings.iter().map(|setting| setting.at(rng.random_range(0.0..1.0))).collect(),
         },
     };
@@ -96,6 +102,7 @@ pub fn named(model: &TorqueModel) -> Vec<NamedTerm> {
             form: spec.form.to_string(),
             joint: joints.first().copied(),
             cause: joints.get(1).copied(),
+            other: joints.get(2).copied(),
             settings: settings.map(|(setting, value)| (setting.name.to_string(), *value)).collect(),
         }
     };
