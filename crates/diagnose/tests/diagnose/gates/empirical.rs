@@ -1,7 +1,8 @@
 //! Learned terms: what no effect of the catalogue has is learned where it helps, and nothing else is.
 
 use super::synthetic::{At, FLOOR, Recorded, once, recorded};
-use plumbline_diagnose::outcome::{Empirical, Outcome, Verdict};
+use plumbline_diagnose::Outcome;
+use plumbline_diagnose::outcome::{Empirical, Verdict};
 use plumbline_diagnose::{Input, Settings, diagnose};
 use plumbline_identify::solve;
 use plumbline_model::term::effect::Spec;
