@@ -23,6 +23,11 @@
 
 #![forbid(unsafe_code)]
 
+/// The page of the guide: its blocks are compiled.
+#[cfg(doctest)]
+#[doc = include_str!("../../../docs/guide/controller.md")]
+struct GuidePage;
+
 mod background;
 mod error;
 mod evaluation;
