@@ -110,9 +110,10 @@ impl Results {
         let runs = self.runs(Role::Identify);
         let identified = pipeline::identify(&self.robot, &runs, &TERMS, &self.settings, &self.job.solver())?;
         let file = self.model_file(&identified, Vec::new(), None);
-        crate::atomic::write_result(&self.out.join("model.toml"), file.to_toml().as_bytes())?;
+        let text = file.to_toml();
+        crate::atomic::write_result(&self.out.join("model.toml"), text.as_bytes())?;
         self.model = Some(identified);
-        Ok(file.served_toml())
+        Ok(text)
     }
 
     /// The model and the first run that it was identified from.

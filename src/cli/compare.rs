@@ -9,7 +9,6 @@ use crate::failure::Failure;
 use crate::process::progress;
 use crate::report::figures::Figures;
 use crate::report::{Band, Base, Identifiability, Report, Validation};
-use crate::setup::models;
 use crate::store::{ModelFile, Provenance, Validated};
 use clap::Args;
 use plumbline_core::{BadInput, threads};
@@ -18,6 +17,7 @@ use plumbline_identify::{Experiment, Rms};
 use plumbline_model::term::Term;
 use plumbline_model::term::rigid_body::RigidBody;
 use plumbline_model::{Reduction, Robot, TorqueModel};
+use plumbline_model_file::models;
 use std::path::PathBuf;
 
 /// Options of `plumbline compare`.

@@ -3,13 +3,13 @@
 use crate::cli::say::say;
 use crate::failure::Failure;
 use crate::report::Consistency;
-use crate::setup::models;
 use crate::store::ModelFile;
 use crate::store::export::{Arm, Exported, c, effects, mjcf, splice, tree, urdf};
 use clap::{Args, ValueEnum};
 use plumbline_core::BadInput;
 use plumbline_identify::consistency::{Nearest, Prior, Uncertainty, Weights, nearest};
 use plumbline_model::{Mounting, Robot, is_consistent};
+use plumbline_model_file::models;
 use roxmltree::Document;
 use std::path::{Path, PathBuf};
 

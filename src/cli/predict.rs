@@ -5,12 +5,12 @@ use crate::cli::say::say;
 use crate::config::units::parse_mounting;
 use crate::dataset::{Dataset, Run};
 use crate::failure::Failure;
-use crate::setup::models;
 use crate::store::ModelFile;
 use clap::Args;
 use plumbline_core::BadInput;
 use plumbline_identify::{Settings, TorqueUncertainty};
 use plumbline_model::{Mounting, TorqueModel};
+use plumbline_model_file::models;
 use std::fmt::Write;
 use std::path::PathBuf;
 

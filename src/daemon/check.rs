@@ -2,11 +2,11 @@
 
 use super::models::Accepted;
 use crate::recording::about::panic_message;
-use crate::setup::models;
 use crate::store::{ModelFile, model_identity};
 use plumbline_core::BadInput;
 use plumbline_ipc::{Proposal, Request, Response, Ticket, read};
 use plumbline_model::{Mounting, Robot};
+use plumbline_model_file::models;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::mpsc::{Receiver, SyncSender, TryRecvError, sync_channel};
 

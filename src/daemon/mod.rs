@@ -32,9 +32,10 @@ use crate::setup::{self, JobOptions};
 use check::{Answerable, Checked, Checker};
 use clap::Args;
 use job_setup::JobSetup;
-use plumbline_core::{ArmConnector, Distribution, Purpose};
+use plumbline_core::{ArmConnector, Distribution, Purpose, Validity};
 use plumbline_ipc::{
-    IncomingRequest, Lock, Progress, Server, ServerSettings, Session as SessionStatistics, StopListener, now_ns,
+    IncomingRequest, Lock, ModelHeader, Progress, Server, ServerSettings, Session as SessionStatistics, StopListener,
+    now_ns,
 };
 use plumbline_model::Mounting;
 use plumbline_rt::cycle::End;
@@ -75,6 +76,8 @@ pub struct Daemon {
     state: DaemonState,
     service: Service,
     share: RequestShare,
+    /// Model that was published last, as the daemon fills its header.
+    published: ModelHeader,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -115,7 +118,7 @@ pub fn run(options: Options) -> Result<(), Failure> {
     let server = Server::open(&id, ServerSettings::default()).map_err(Failure::job)?;
     let checker = Checker::start(state.setup.robot.clone(), server.epoch()).map_err(Failure::job)?;
     let (service, share) = (Service::of_environment(), RequestShare::default());
-    let mut daemon = Daemon { stops, server, checker, state, service, share };
+    let mut daemon = Daemon { stops, server, checker, state, service, share, published: ModelHeader::default() };
     tracing::info!("the daemon of robot `{id}` is ready; the arm moves after `plumbline command start`");
     daemon.service.ready("at rest; the arm moves after `plumbline command start`");
     daemon.hold(daemon.state.mounting)?;
@@ -242,6 +245,26 @@ impl Daemon {
     fn take_stop(&mut self, controls: Option<&Controls>) {
         if let Some(order) = self.stops.attend(controls) {
             self.state.take_stop(order, controls);
+        }
+    }
+
+    /// Publishes the model that the loop serves for clients that evaluate it themselves, where it has changed: `model` (0 for none) under
+    /// `gravity`, on an arm that compensates `vendor` \[m/s2\].
+    fn publish_model(&mut self, model: u64, gravity: [f64; 3], vendor: [f64; 3]) {
+        let text = self.state.models.text(model).filter(|_| model != 0);
+        let header = match text {
+            Some(_) => {
+                let doubted = self.state.models.doubted() == model;
+                let validity = if doubted { Validity::Doubtful } else { Validity::Valid };
+                let validity = validity as u32;
+                ModelHeader { model, validity, gravity, gravity_vendor: vendor, ..ModelHeader::default() }
+            }
+            None if self.published.model == 0 => self.published,
+            None => ModelHeader { validity: Validity::Withdrawn as u32, ..ModelHeader::default() },
+        };
+        if header != self.published {
+            self.server.model(header, text.unwrap_or_default());
+            self.published = header;
         }
     }
 

@@ -60,6 +60,12 @@ impl Models {
         self.served.as_ref()
     }
 
+    /// Text of a model that is served, or was before.
+    pub fn text(&self, model: u64) -> Option<&str> {
+        let known = self.served.iter().chain(&self.reserve);
+        known.into_iter().find(|known| known.id == model).map(|known| known.text.as_str())
+    }
+
     /// The served model, if it may be handed to a loop: it holds in that loop's mounting, and no loop has rejected it.
     pub fn for_loop(&self, mounting: &Mounting) -> Option<&Accepted> {
         self.trusted().filter(|served| served.model.holds_in(mounting))

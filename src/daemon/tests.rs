@@ -146,7 +146,7 @@ fn a_made_up_backend_is_driven_recovered_and_driven_to_the_end() {
     let server = Server::open(&id, ServerSettings { retain: 10_000, ..ServerSettings::default() }).unwrap();
     let checker = Checker::start(state.setup.robot.clone(), server.epoch()).unwrap();
     let (service, share) = (Service::of_environment(), RequestShare::default());
-    let mut daemon = Daemon { stops, server, checker, state, service, share };
+    let mut daemon = Daemon { stops, server, checker, state, service, share, published: Default::default() };
 
     daemon.state.programme.start = true;
     daemon.drive(&programme).unwrap();

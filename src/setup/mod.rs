@@ -1,7 +1,6 @@
 //! What a job needs before anything moves: its options, its robot and arm, the locks, the rest pose, the programme of motions.
 
 pub mod backend;
-pub mod models;
 pub mod planner;
 pub mod programme;
 

@@ -2,7 +2,7 @@
 
 use crate::config::job::Job;
 use crate::failure::Failure;
-use crate::setup::{friction_structure, models};
+use crate::setup::friction_structure;
 use crate::store::load_plan;
 use plumbline_core::{ArmLimits, BadInput, Limits, SpeedEnvelope, Workspace, threads};
 use plumbline_excite::{
@@ -10,6 +10,7 @@ use plumbline_excite::{
     check_excitation, check_usage, motion_samples, optimise, usage, verify_with_guard,
 };
 use plumbline_model::{Mounting, Robot};
+use plumbline_model_file::models;
 use plumbline_rt::MoveFactors;
 use sha2::{Digest, Sha256};
 use std::path::Path;

@@ -2,6 +2,8 @@
 //!
 //! With the tests runs what any machine can decide. `hil/torque-clients/run.sh` compares the loop's statistics and writes the table of docs/results/campaigns.md.
 
+use plumbline_client::{Expected, FeedForwardClient, FeedForwardSettings, Model};
+use plumbline_core::Validity;
 use plumbline_ipc::{Client, RobotId, Status};
 use plumbline_testkit::job::*;
 use std::fmt::Write as _;
@@ -121,6 +123,32 @@ fn sixteen_clients_of_which_some_are_slow_dead_or_hostile_cost_the_loop_nothing(
     }
     assert!(last.served.garbled_requests > 0, "no nonsense arrived: {:?}", last.served);
     assert_eq!(last.stopped, None);
+}
+
+/// A controller's own evaluation of the served model, beside a daemon whose arm rests: at the daemon's own setpoint it is the daemon's torque.
+#[test]
+fn a_model_that_is_followed_has_the_daemons_torque_to_the_last_bit() {
+    let place = Place::new("controller");
+    let mut command = place.job("daemon", &short(&HOLD));
+    command.args(["--model", "config/models/panda-paper-table3.toml"]);
+    let daemon = Running::start(command);
+    let expected = Expected { robot: Some("panda".into()), gravity: Some([9.81, 0.0, 0.0]) };
+    let mut model = Model::follow(&place.id, expected, TIMEOUT).unwrap();
+    wait_for("the model", || model.status().model != 0);
+    let robot = RobotId::parse("test", "robot", &place.id).unwrap();
+    let mut torques = FeedForwardClient::connect(&robot, FeedForwardSettings::default(), TIMEOUT).unwrap();
+    let served = wait_for("a torque of the model alone", || {
+        let message = torques.latest().unwrap()?.message;
+        (message.validity() == Ok(Validity::Valid)).then_some(message)
+    });
+    assert_eq!((model.status().model, model.status().validity), (served.model, Validity::Valid));
+    let (rest, mut tau) = ([0.0; 7], [0.0; 7]);
+    assert_eq!(served.dq_d[..7], rest);
+    model.torque(&served.q_d[..7], &rest, &rest, None, &mut tau).unwrap();
+    assert_eq!(tau, served.torque());
+    place.quit(daemon).expect_code(0);
+    wait_for("the end of the daemon", || model.trouble().is_some());
+    assert_eq!(model.torque(&served.q_d[..7], &rest, &rest, None, &mut tau), Ok(()));
 }
 
 /// Sends requests that are none, and waits for no answer.

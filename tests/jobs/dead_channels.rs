@@ -30,7 +30,8 @@ fn model(scene: &Scene, path: &Path) {
     let values: Vec<(f64, Option<f64>)> = scene.beta.iter().map(|&value| (value, Some(1e-3))).collect();
     let model = TorqueModel::new("panda", structure, vec![scene.mounting], &values).unwrap();
     let (noise_floor, validation, provenance) = (Vec::new(), Vec::new(), Provenance::default());
-    ModelFile { model, noise_floor, validation, uncertainty: None, consistent: None, provenance }.save(path).unwrap();
+    let file = ModelFile { model, noise_floor, validation, uncertainty: None, consistent: None, provenance };
+    std::fs::write(path, file.to_toml()).unwrap();
 }
 
 #[test]

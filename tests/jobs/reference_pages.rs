@@ -3,7 +3,7 @@
 //! `PLUMBLINE_WRITE_DOCS=1 cargo test --test jobs reference_pages` writes the blocks of output anew. The other pages are written by hand.
 
 use plumbline::config::job::Job;
-use plumbline_ipc::{FeedForwardMessage, SampleMessage};
+use plumbline_ipc::{FeedForwardMessage, GuestMessage, ModelHeader, SampleMessage};
 use plumbline_model::Robot;
 use plumbline_model::term::effect::{self, FAMILIES, Stratum};
 use plumbline_sim::Truth;
@@ -90,7 +90,11 @@ fn message_layouts_match_their_tables() {
         gravity_vendor, validity, reserved);
     let sample = layout!(SampleMessage: epoch, seq, cycle, state_seq, time, q, dq, tau, q_d, command_seq, desired_q, desired_dq,
         desired_ddq, tau_ff, phase, motion, tick, model, stamp_ns, wake_ns, work_ns, tau_vendor, validity, reserved);
+    let model = layout!(ModelHeader: layout, validity, epoch, sequence, stamp_ns, model, gravity, gravity_vendor);
+    let guest = layout!(GuestMessage: layout, n, epoch, seq, stamp_ns, q, dq, tau, q_d);
     let messages = [
+        ("### ModelHeader", size_of::<ModelHeader>(), model),
+        ("### GuestMessage", size_of::<GuestMessage>(), guest),
         ("### FeedForwardMessage", size_of::<FeedForwardMessage>(), feed_forward),
         ("### SampleMessage", size_of::<SampleMessage>(), sample),
     ];

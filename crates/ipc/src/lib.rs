@@ -5,6 +5,8 @@
 //! | `plumbline/R/samples` | publish-subscribe | every [`Record`](plumbline_core::Record) as [`SampleMessage`], numbered without gaps |
 //! | `plumbline/R/replay` | request-response | a follower acknowledges records and requests missed ones |
 //! | `plumbline/R/feed-forward` | publish-subscribe, latest value | [`FeedForwardMessage`] for any number of clients |
+//! | `plumbline/R/model` | publish-subscribe, latest value | text of the served model with a [`ModelHeader`] |
+//! | `plumbline/R/guest` | publish-subscribe | [`GuestMessage`]: states of an arm that another program controls |
 //! | `plumbline/R/command` | request-response, JSON | [`Request`] and [`Response`] |
 //!
 //! A stop is sent over a separate socket, without shared memory: [`stop`](stop()).
@@ -36,9 +38,11 @@ mod error;
 mod error_counts;
 mod feed_forward;
 mod followers;
+mod guest;
 mod incomplete_segments;
 mod lock;
 mod messages;
+mod model;
 mod requests;
 mod retain;
 mod robot;
@@ -58,8 +62,12 @@ pub use command::{
 pub use error::IpcError;
 pub use feed_forward::{FeedForwardClient, FeedForwardSettings, Latest, Presence};
 pub use followers::FollowerEvent;
+pub use guest::{GuestDelivery, GuestPublisher, GuestReceiver};
 pub use lock::{Lock, LockError};
-pub use messages::{FeedForwardMessage, FollowRequest, MessageError, ReplayHeader, SampleMessage};
+pub use messages::{
+    FeedForwardMessage, FollowRequest, GuestMessage, LAYOUT, MessageError, ModelHeader, ReplayHeader, SampleMessage,
+};
+pub use model::{ModelClient, ModelMessage};
 pub use plumbline_core::Link;
 pub use requests::{IncomingRequest, Ticket, read};
 pub use retain::RetainedLog;

@@ -19,6 +19,10 @@ pub enum MessageError {
     Validity { code: u32, seq: u64 },
     #[error("{joints} joints, the message has room for {MAX_JOINTS}")]
     Joints { joints: u32 },
+    #[error("layout {layout} of the message, this version reads {LAYOUT}")]
+    Layout { layout: u32 },
+    #[error("a number of sample {seq} is not finite")]
+    NotFinite { seq: u64 },
 }
 
 /// One [`Record`] as it is published.
@@ -221,6 +225,78 @@ impl FeedForwardMessage {
     }
 }
 
+/// Version of the layout of [`ModelHeader`] and [`GuestMessage`].
+pub const LAYOUT: u32 = 1;
+
+/// Header of the served model; the payload is the text of the model file, empty where no model is served.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, ZeroCopySend)]
+#[type_name("plumbline::ModelHeader")]
+pub struct ModelHeader {
+    /// [`LAYOUT`]. Set by [`Server`](super::Server).
+    pub layout: u32,
+    /// [`Validity`] as a number.
+    pub validity: u32,
+    /// Epoch: identity of the daemon's start. Set by [`Server`](super::Server).
+    pub epoch: u64,
+    /// Number of the message since the daemon's start, from 1. Set by [`Server`](super::Server).
+    pub sequence: u64,
+    /// Time of the message, `CLOCK_BOOTTIME` \[ns\]. Set by [`Server`](super::Server).
+    pub stamp_ns: u64,
+    /// Identity of the model: the first 64 bits of the SHA-256 of its text; 0 for none.
+    pub model: u64,
+    /// Gravitational acceleration in the base frame that the model is served with \[m/s2\].
+    pub gravity: [f64; 3],
+    /// Gravitational acceleration in the base frame that the arm's own controller compensates \[m/s2\].
+    pub gravity_vendor: [f64; 3],
+}
+
+impl ModelHeader {
+    /// The validity, decoded.
+    pub fn validity(&self) -> Result<Validity, MessageError> {
+        Validity::from_u32(self.validity).ok_or(MessageError::Validity { code: self.validity, seq: self.sequence })
+    }
+}
+
+/// State of an arm in one cycle of a controller that is not plumbline's.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, ZeroCopySend)]
+#[type_name("plumbline::GuestMessage")]
+pub struct GuestMessage {
+    /// [`LAYOUT`]. Set by [`GuestPublisher`](super::GuestPublisher).
+    pub layout: u32,
+    /// Number of joints; entries past it are zero.
+    pub n: u32,
+    /// Epoch: identity of the publisher's start. Set by [`GuestPublisher`](super::GuestPublisher).
+    pub epoch: u64,
+    /// Number of the sample since the publisher's start, from 0. A number that is missing is a lost sample.
+    pub seq: u64,
+    /// Time at which the controller had read the state, `CLOCK_MONOTONIC` \[ns\].
+    pub stamp_ns: u64,
+    /// Measured position \[rad\].
+    pub q: JointVec,
+    /// Measured velocity \[rad/s\].
+    pub dq: JointVec,
+    /// Measured torque, gravity included \[Nm\].
+    pub tau: JointVec,
+    /// Desired position \[rad\].
+    pub q_d: JointVec,
+}
+
+impl GuestMessage {
+    /// Validates layout, joint count and numbers.
+    pub fn check(&self) -> Result<(), MessageError> {
+        if self.layout != LAYOUT {
+            return Err(MessageError::Layout { layout: self.layout });
+        }
+        if self.n == 0 || self.n as usize > MAX_JOINTS {
+            return Err(MessageError::Joints { joints: self.n });
+        }
+        let finite = [&self.q, &self.dq, &self.tau, &self.q_d].into_iter().flatten().all(|value| value.is_finite());
+        if finite { Ok(()) } else { Err(MessageError::NotFinite { seq: self.seq }) }
+    }
+}
+
 /// Request of a follower: acknowledges records and asks for further ones.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, ZeroCopySend)]
@@ -346,6 +422,25 @@ mod tests {
         assert_eq!(offset_of!(FeedForwardMessage, tau_vendor), 256);
         assert_eq!(offset_of!(FeedForwardMessage, gravity_vendor), 320);
         assert_eq!(offset_of!(FeedForwardMessage, validity), 344);
+
+        assert_eq!((size_of::<ModelHeader>(), align_of::<ModelHeader>()), (88, 8));
+        assert_eq!(offset_of!(ModelHeader, validity), 4);
+        assert_eq!(offset_of!(ModelHeader, epoch), 8);
+        assert_eq!(offset_of!(ModelHeader, sequence), 16);
+        assert_eq!(offset_of!(ModelHeader, stamp_ns), 24);
+        assert_eq!(offset_of!(ModelHeader, model), 32);
+        assert_eq!(offset_of!(ModelHeader, gravity), 40);
+        assert_eq!(offset_of!(ModelHeader, gravity_vendor), 64);
+
+        assert_eq!((size_of::<GuestMessage>(), align_of::<GuestMessage>()), (288, 8));
+        assert_eq!(offset_of!(GuestMessage, n), 4);
+        assert_eq!(offset_of!(GuestMessage, epoch), 8);
+        assert_eq!(offset_of!(GuestMessage, seq), 16);
+        assert_eq!(offset_of!(GuestMessage, stamp_ns), 24);
+        assert_eq!(offset_of!(GuestMessage, q), 32);
+        assert_eq!(offset_of!(GuestMessage, dq), 96);
+        assert_eq!(offset_of!(GuestMessage, tau), 160);
+        assert_eq!(offset_of!(GuestMessage, q_d), 224);
 
         assert_eq!((size_of::<FollowRequest>(), align_of::<FollowRequest>()), (56, 8));
         assert_eq!((size_of::<ReplayHeader>(), align_of::<ReplayHeader>()), (24, 8));

@@ -14,7 +14,7 @@ use super::command::{MAX_RESPONSE_BYTES, Request, Response, Served};
 use super::error::IpcError;
 use super::error_counts::ErrorCounts;
 use super::followers::{FollowerEvent, Followers, Heartbeat};
-use super::messages::{FeedForwardMessage, FollowRequest, ReplayHeader, SampleMessage};
+use super::messages::{FeedForwardMessage, FollowRequest, LAYOUT, ModelHeader, ReplayHeader, SampleMessage};
 use super::requests::{self, IncomingRequest, Order, Requests, Ticket};
 use super::retain::RetainedLog;
 use super::robot::RobotId;
@@ -25,6 +25,8 @@ use plumbline_core::Record;
 
 /// Maximum replay requests handled in one [`Server::poll`], so that many of them do not delay the samples.
 const REPLAYS_PER_POLL: usize = 8;
+/// Initial size of a model's memory; a longer text makes it grow \[bytes\].
+const INITIAL_MODEL_BYTES: usize = 64 << 10;
 /// Interval between two heartbeat checks of the followers \[ns\].
 const CHECK_INTERVAL_NS: u64 = 250_000_000;
 
@@ -62,6 +64,9 @@ pub struct Server {
     // Drop order: ports before services, services before their node.
     samples: Publisher<ipc::Service, [SampleMessage], ()>,
     feed_forward: Publisher<ipc::Service, FeedForwardMessage, ()>,
+    model: Publisher<ipc::Service, [u8], ModelHeader>,
+    /// Number of the last message of the model.
+    models: u64,
     replay: RequestServer<ipc::Service, FollowRequest, (), [SampleMessage], ReplayHeader>,
     requests: Requests,
     replay_service: services::Replay,
@@ -81,6 +86,7 @@ impl Server {
 
         let samples_service = services::serve_samples(&node, robot)?;
         let feed_forward_service = services::serve_feed_forward(&node, robot)?;
+        let model_service = services::serve_model(&node, robot)?;
         let replay_service = services::serve_replay(&node, robot)?;
         let command_service = services::serve_commands(&node, robot)?;
 
@@ -92,6 +98,13 @@ impl Server {
         })?;
         let feed_forward = retry_until(&services::feed_forward_name(robot), SERVER_TIMEOUT, || {
             let builder = feed_forward_service.publisher_builder().max_loaned_samples(1);
+            let builder = builder.set_degradation_handler(counting(&unconnected));
+            Ok(builder.backpressure_strategy(BackpressureStrategy::DiscardData).create())
+        })?;
+        let model = retry_until(&services::model_name(robot), SERVER_TIMEOUT, || {
+            let builder = model_service.publisher_builder().max_loaned_samples(1);
+            let builder = builder.initial_max_slice_len(INITIAL_MODEL_BYTES);
+            let builder = builder.allocation_strategy(AllocationStrategy::PowerOfTwo);
             let builder = builder.set_degradation_handler(counting(&unconnected));
             Ok(builder.backpressure_strategy(BackpressureStrategy::DiscardData).create())
         })?;
@@ -116,7 +129,7 @@ impl Server {
             .map_err(|error| services::transport("reserving memory for", robot.as_str(), error))?;
 
         let epoch = new_epoch();
-        Ok(Server {
+        let mut server = Server {
             epoch,
             log: RetainedLog::new(settings.retain),
             settings,
@@ -128,12 +141,17 @@ impl Server {
             checked_ns: now_ns(),
             samples,
             feed_forward,
+            model,
+            models: 0,
             replay,
             requests: Requests::new(commands),
             replay_service,
             command_service,
             node,
-        })
+        };
+        // Clients of the daemon before receive that this one serves no model yet.
+        server.model(ModelHeader::default(), "");
+        Ok(server)
     }
 
     /// Epoch: identity of this start of the daemon, not 0.
@@ -175,6 +193,25 @@ impl Server {
         message.stamp_ns = message.stamp_ns.saturating_add(services::suspended_ns());
         if let Err(error) = self.feed_forward.send_copy(message) {
             self.report_error("feed-forward", error.to_string());
+        }
+    }
+
+    /// Publishes the served model: identity, gravity and validity in `header`, and the text of its file. Sets layout, epoch, sequence and
+    /// stamp. Clients that connect later receive it, too.
+    pub fn model(&mut self, mut header: ModelHeader, text: &str) {
+        self.models += 1;
+        (header.layout, header.epoch, header.sequence) = (LAYOUT, self.epoch, self.models);
+        header.stamp_ns = services::boot_ns();
+        // Memory that grows is not reserved: the kernel ends a process that writes to a segment without memory (SIGBUS).
+        let full = runtime_dir::shared_memory_full().filter(|_| text.len() > INITIAL_MODEL_BYTES);
+        let sent = full.map_or(Ok(()), Err).and_then(|()| {
+            let mut memory = self.model.loan_slice_uninit(text.len()).map_err(|error| error.to_string())?;
+            *memory.user_header_mut() = header;
+            let filled = memory.write_from_slice(text.as_bytes());
+            filled.send().map(|_clients| ()).map_err(|error| error.to_string())
+        });
+        if let Err(reason) = sent {
+            self.report_error("model", reason);
         }
     }
 

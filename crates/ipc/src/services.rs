@@ -14,7 +14,7 @@ use iceoryx2::service::port_factory::{publish_subscribe, request_response};
 
 use super::error::IpcError;
 use super::incomplete_segments;
-use super::messages::{FeedForwardMessage, FollowRequest, ReplayHeader, SampleMessage};
+use super::messages::{FeedForwardMessage, FollowRequest, GuestMessage, ModelHeader, ReplayHeader, SampleMessage};
 use super::robot::RobotId;
 use super::runtime_dir;
 
@@ -25,6 +25,9 @@ pub(super) const MAX_REPLAY_RECORDS: usize = 512;
 const STREAM_BUFFER_BATCHES: usize = 256;
 const MAX_FOLLOWERS: usize = 4;
 const MAX_FEED_FORWARD_CLIENTS: usize = 32;
+const MAX_MODEL_CLIENTS: usize = 16;
+/// Receivers of an arm's states: the daemon, and one whose process was killed.
+const MAX_GUEST_RECEIVERS: usize = 2;
 pub(super) const MAX_COMMAND_CLIENTS: usize = 16;
 /// Clients of the command service that are reserved for operators.
 pub(super) const RESERVED_OPERATORS: usize = 4;
@@ -36,6 +39,8 @@ const RETRY_INTERVAL: Duration = Duration::from_millis(10);
 pub(super) type ServiceNode = Node<ipc::Service>;
 pub(super) type Samples = publish_subscribe::PortFactory<ipc::Service, [SampleMessage], ()>;
 pub(super) type FeedForward = publish_subscribe::PortFactory<ipc::Service, FeedForwardMessage, ()>;
+pub(super) type Model = publish_subscribe::PortFactory<ipc::Service, [u8], ModelHeader>;
+pub(super) type Guest = publish_subscribe::PortFactory<ipc::Service, [GuestMessage], ()>;
 pub(super) type Replay = request_response::PortFactory<ipc::Service, FollowRequest, (), [SampleMessage], ReplayHeader>;
 pub(super) type Commands = request_response::PortFactory<ipc::Service, [u8], (), [u8], ()>;
 
@@ -140,6 +145,14 @@ pub(super) fn feed_forward_name(robot: &RobotId) -> String {
     format!("plumbline/{robot}/feed-forward")
 }
 
+pub(super) fn model_name(robot: &RobotId) -> String {
+    format!("plumbline/{robot}/model")
+}
+
+pub(super) fn guest_name(robot: &RobotId) -> String {
+    format!("plumbline/{robot}/guest")
+}
+
 pub(super) fn command_name(robot: &RobotId) -> String {
     format!("plumbline/{robot}/command")
 }
@@ -157,6 +170,10 @@ fn feed_forward(
     name: &str,
 ) -> Result<pubsub::Builder<FeedForwardMessage, (), ipc::Service>, IpcError> {
     Ok(node.service_builder(&service_name(name)?).publish_subscribe::<FeedForwardMessage>())
+}
+
+fn model(node: &ServiceNode, name: &str) -> Result<pubsub::Builder<[u8], ModelHeader, ipc::Service>, IpcError> {
+    Ok(node.service_builder(&service_name(name)?).publish_subscribe::<[u8]>().user_header::<ModelHeader>())
 }
 
 type ReplayBuilder = reqres::Builder<FollowRequest, (), [SampleMessage], ReplayHeader, ipc::Service>;
@@ -230,6 +247,41 @@ pub(super) fn serve_feed_forward(node: &ServiceNode, robot: &RobotId) -> Result<
     })
 }
 
+/// Opens or creates the service of the served model. Its buffer holds the latest one only.
+pub(super) fn serve_model(node: &ServiceNode, robot: &RobotId) -> Result<Model, IpcError> {
+    let name = model_name(robot);
+    retry_until(&name, SERVER_TIMEOUT, || {
+        Ok(model(node, &name)?
+            .enable_safe_overflow(true)
+            .subscriber_max_buffer_size(1)
+            .subscriber_max_borrowed_samples(1)
+            .history_size(1)
+            .max_publishers(1)
+            .max_subscribers(MAX_MODEL_CLIENTS)
+            .max_nodes(MAX_MODEL_CLIENTS + SPARE_NODES)
+            .open_or_create())
+    })
+}
+
+/// Opens or creates the service of an arm's states, for its one publisher and for the receiver alike.
+pub(super) fn open_guest(node: &ServiceNode, robot: &RobotId) -> Result<Guest, IpcError> {
+    let name = guest_name(robot);
+    let opened = retry_until(&name, SERVER_TIMEOUT, || {
+        let builder = node.service_builder(&service_name(&name)?).publish_subscribe::<[GuestMessage]>();
+        Ok(builder
+            .enable_safe_overflow(true)
+            .subscriber_max_buffer_size(STREAM_BUFFER_BATCHES)
+            .subscriber_max_borrowed_samples(1)
+            .history_size(0)
+            .max_publishers(1)
+            .max_subscribers(MAX_GUEST_RECEIVERS)
+            .max_nodes(MAX_GUEST_RECEIVERS + SPARE_NODES)
+            .open_or_create())
+    })?;
+    runtime_dir::check_mapped_owner().map_err(|error| transport("opening", robot.as_str(), error))?;
+    Ok(opened)
+}
+
 pub(super) fn serve_commands(node: &ServiceNode, robot: &RobotId) -> Result<Commands, IpcError> {
     let name = command_name(robot);
     retry_until(&name, SERVER_TIMEOUT, || Ok(serve_one_server!(commands(node, &name)?, MAX_COMMAND_CLIENTS)))
@@ -249,6 +301,7 @@ join! {
     join_samples: samples, samples_name -> Samples;
     join_replay: replay, replay_name -> Replay;
     join_feed_forward: feed_forward, feed_forward_name -> FeedForward;
+    join_model: model, model_name -> Model;
     join_commands: commands, command_name -> Commands;
 }
 

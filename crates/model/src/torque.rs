@@ -198,6 +198,22 @@ impl TorqueModel {
         sum
     }
 
+    /// The model of some of its terms, with the same parameters. The rigid body is always one of them.
+    ///
+    /// # Errors
+    /// As [`Structure::new`].
+    pub fn part(&self, keep: impl Fn(&dyn Term) -> bool) -> Result<TorqueModel, ModelError> {
+        let of = &self.structure;
+        let kept = self.terms().into_iter().skip(1).zip(&of.terms()[1..]).filter(|((term, _), _)| keep(*term));
+        let (parameters, terms): (Vec<&[Parameter]>, Vec<_>) =
+            kept.map(|((_, parameters), term)| (parameters, Arc::clone(term))).unzip();
+        let structure = Structure::new(of.chain().clone(), of.reduction().clone(), terms)?;
+        let rigid = &self.parameters[..of.reduction().len()];
+        let all = rigid.iter().chain(parameters.into_iter().flatten());
+        let values: Vec<_> = all.map(|parameter| (parameter.value, parameter.std)).collect();
+        TorqueModel::new(self.robot.clone(), structure, self.mountings.clone(), &values)
+    }
+
     /// `beta`.
     pub fn beta(&self) -> Vec<f64> {
         self.parameters.iter().map(|parameter| parameter.value).collect()
@@ -273,6 +289,15 @@ impl Evaluator {
     /// Whether the torque may depend on the samples before: only terms without a closed form can.
     fn may_remember(&self) -> bool {
         !self.terms.is_empty()
+    }
+
+    /// Puts the model under another `gravity` in the base frame \[m/s2\]; `false`, and nothing is changed, where it has terms without a
+    /// closed form: they are computed for one gravity in advance. Neither allocates nor panics.
+    pub fn set_gravity(&mut self, gravity: &Vector3<f64>) -> bool {
+        if self.terms.is_empty() {
+            self.closed.set_gravity(gravity);
+        }
+        self.terms.is_empty()
     }
 
     /// Sets the sample period \[s\]; 1 ms before the first call.

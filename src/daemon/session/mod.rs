@@ -91,6 +91,7 @@ impl Session {
             self.handle_events(&mut daemon.state);
             daemon.state.poll_gravity(now_ns(), self.model != 0);
             self.hand_over_model(&mut daemon.state);
+            daemon.publish_model(self.model, self.gravity.into(), self.vendor.into());
             self.give_orders();
             self.check_model_timeout(&mut daemon.state);
             self.keep_pace_with_watch(daemon);

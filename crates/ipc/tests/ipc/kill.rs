@@ -11,8 +11,9 @@ use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use plumbline_ipc::{
-    Client, Delivery, FeedForwardClient, FeedForwardMessage, FeedForwardSettings, FollowerEvent, Lock, Presence,
-    Request, Response, RobotId, SampleStream, Server, ServerSettings, Status, StreamSettings,
+    Client, Delivery, FeedForwardClient, FeedForwardMessage, FeedForwardSettings, FollowerEvent, GuestDelivery,
+    GuestMessage, GuestPublisher, GuestReceiver, Lock, Presence, Request, Response, RobotId, SampleStream, Server,
+    ServerSettings, Status, StreamSettings,
 };
 use plumbline_testkit::memory::*;
 use rand::{Rng, SeedableRng};
@@ -29,6 +30,7 @@ fn child() {
     let robot = RobotId::parse("test", "robot", &std::env::var(ROBOT).unwrap()).unwrap();
     match role.as_str() {
         "follower" => follow(&robot),
+        "guest" => publish_states(&robot),
         "daemon" => serve(&robot, Path::new(&std::env::var(LOCKS).unwrap())),
         other => panic!("no role {other}"),
     }
@@ -41,6 +43,16 @@ fn follow(robot: &RobotId) {
         let goal = stream.position() + 100;
         read_until(&mut stream, goal, || ());
         println!("at {}", stream.position());
+    }
+}
+
+/// Publishes the states of an arm for ever.
+fn publish_states(robot: &RobotId) {
+    let mut publisher = GuestPublisher::open(robot).unwrap();
+    for seq in 0.. {
+        publisher.send(&[GuestMessage { n: 7, seq, ..GuestMessage::default() }]).unwrap();
+        println!("at {seq}");
+        std::thread::sleep(Duration::from_micros(500));
     }
 }
 
@@ -243,4 +255,31 @@ fn an_incomplete_connection_of_a_killed_process_does_not_block_the_next_daemon()
     let next = Process::with_own_directory("daemon", &robot, place.path());
     wait_for("the next daemon", || next.at() > 0);
     assert!(incomplete.iter().all(|path| !path.exists()));
+}
+
+#[test]
+fn the_successor_of_a_killed_publisher_of_states_is_received() {
+    let robot = robot("killed-guest");
+    let directory = tempfile::tempdir().unwrap();
+    let mut receiver = GuestReceiver::open(&robot).unwrap();
+    let mut epochs = Vec::new();
+    for round in 0..5 {
+        let publisher = Process::start("guest", &robot, directory.path());
+        let mut newest = 0;
+        wait_for("its samples", || {
+            for delivery in receiver.receive().unwrap() {
+                match delivery {
+                    GuestDelivery::Started { epoch } => (newest, epochs) = (0, [epochs.clone(), vec![epoch]].concat()),
+                    GuestDelivery::Samples(samples) => newest = samples.last().unwrap().seq,
+                    GuestDelivery::Lost { .. } => {}
+                }
+            }
+            epochs.len() == round + 1 && newest > 100
+        });
+        assert!(receiver.is_published());
+        // In mid-motion.
+        drop(publisher);
+        assert!(!receiver.is_published(), "round {round}");
+    }
+    assert_eq!(receiver.rejected(), 0);
 }

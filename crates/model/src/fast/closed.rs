@@ -55,6 +55,13 @@ impl ClosedForm {
         self.rigid.is_some()
     }
 
+    /// Puts the links under another `gravity` in the base frame \[m/s2\].
+    pub fn set_gravity(&mut self, gravity: &Vector3<f64>) {
+        if let Some(rigid) = &mut self.rigid {
+            rigid.set_gravity(gravity);
+        }
+    }
+
     /// Adds `viscous_j dq_j + coulomb_j tanh(100 dq_j)`.
     pub fn add_friction(&mut self, viscous: &JointVec, coulomb: &JointVec) {
         self.viscous.add(viscous);

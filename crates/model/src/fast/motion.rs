@@ -35,8 +35,14 @@ pub struct Carrier {
 impl Carrier {
     /// An arm under `gravity` in the base frame \[m/s2\].
     pub fn new(frames: Frames, gravity: &Vector3<f64>) -> Carrier {
-        let base = untwist(frames.frames[0].twist, [-gravity.x, -gravity.y, -gravity.z]);
-        Carrier { frames, base }
+        let mut carrier = Carrier { frames, base: [0.0; 3] };
+        carrier.set_gravity(gravity);
+        carrier
+    }
+
+    /// Puts the arm under another `gravity` in the base frame \[m/s2\].
+    pub fn set_gravity(&mut self, gravity: &Vector3<f64>) {
+        self.base = untwist(self.frames.frames[0].twist, [-gravity.x, -gravity.y, -gravity.z]);
     }
 
     /// Angular velocity and acceleration of every frame, and its origin's acceleration, each in its own frame.

@@ -44,6 +44,11 @@ impl RigidTorque {
         Some(RigidTorque { carrier: Carrier::new(frames, gravity), p, whole, first_lever })
     }
 
+    /// Puts the arm under another `gravity` in the base frame \[m/s2\].
+    pub fn set_gravity(&mut self, gravity: &Vector3<f64>) {
+        self.carrier.set_gravity(gravity);
+    }
+
     /// Adds the arm's torques at a sample to `tau` \[Nm\].
     #[inline(always)]
     pub fn torque<S: Simd>(&self, simd: S, work: &mut Workspace, sample: &Sample, tau: &mut JointVec) {

@@ -1,6 +1,6 @@
 //! The text of `model.toml`: one line per parameter.
 
-use super::model_file::{FORMAT, ModelFile, Validated, sealed};
+use super::file::{FORMAT, ModelFile, Validated, sealed};
 use super::quoted;
 use plumbline_model::term::effect::Spec;
 use std::fmt::Write;

@@ -1,7 +1,7 @@
 //! Model files and the robots that they are of. A file names its robot; one that was identified with a description of the user's own holds
 //! that description.
 
-use crate::store::ModelFile;
+use crate::ModelFile;
 use plumbline_core::BadInput;
 use plumbline_model::Robot;
 use std::path::Path;
@@ -12,13 +12,18 @@ pub fn load(path: &Path) -> Result<(ModelFile, Robot), BadInput> {
     let file = path.display().to_string();
     let text =
         std::fs::read_to_string(path).map_err(|error| BadInput::new(&file, "file", error, "a readable model file"))?;
+    parse(&file, &text, path.parent())
+}
+
+/// As [`load`], from a text; `file` is the name in errors, and a robot of one's own is looked up in `folder`.
+pub fn parse(file: &str, text: &str, folder: Option<&Path>) -> Result<(ModelFile, Robot), BadInput> {
     let mut found = None;
-    let model = ModelFile::parse_described(&file, &text, |name, description| {
-        let robot = described(&file, name, description, path.parent())?;
+    let model = ModelFile::parse_described(file, text, |name, description| {
+        let robot = described(file, name, description, folder)?;
         Ok(found.insert(robot).chain.clone())
     })?;
     // The closure was called: there is no model without an arm.
-    let robot = found.ok_or_else(|| BadInput::new(&file, "key `robot`", "no robot", "a robot"))?;
+    let robot = found.ok_or_else(|| BadInput::new(file, "key `robot`", "no robot", "a robot"))?;
     Ok((model, robot))
 }
 

@@ -1,7 +1,6 @@
 //! `model.toml`: an identified model with its uncertainty, validation and provenance.
 
 use super::{consistent, uncertainty};
-use crate::atomic;
 use plumbline_core::{BadInput, from_toml};
 use plumbline_identify::TorqueUncertainty;
 use plumbline_identify::consistency::Nearest;
@@ -11,23 +10,29 @@ use sha2::{Digest, Sha256};
 use std::collections::BTreeMap;
 use std::path::Path;
 
+/// An identified model, and what is known of it.
 #[derive(Clone, Debug)]
 pub struct ModelFile {
+    /// The model.
     pub model: TorqueModel,
     /// Noise floor of the measured torque, per joint \[Nm\]; empty where unknown.
     pub noise_floor: Vec<f64>,
+    /// Errors on unseen runs.
     pub validation: Vec<Validated>,
     /// Covariance of these parameters and residual of the identification. `None` where unknown: of parameters that were not identified here, and of a
     /// stored model with changes, whose errors depend on those of the stored parameters.
     pub uncertainty: Option<TorqueUncertainty>,
     /// Physically consistent bodies with these parameters, or the nearest ones; `None` if not computed.
     pub consistent: Option<Nearest>,
+    /// Origin of the parameters.
     pub provenance: Provenance,
 }
 
+/// Errors of the model on an unseen run.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields, rename_all = "kebab-case")]
 pub struct Validated {
+    /// File of the run.
     pub run: String,
     /// Polar angle of gravity in that run \[rad\].
     pub rho: f64,
@@ -37,12 +42,15 @@ pub struct Validated {
     pub rms: Vec<f64>,
 }
 
+/// Origin of a model's parameters.
 #[derive(Clone, Debug, Default, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields, default, rename_all = "kebab-case")]
 pub struct Provenance {
     /// SHA-256 of the dataset's content.
     pub dataset: Option<String>,
+    /// Version of plumbline that wrote the file.
     pub plumbline: Option<String>,
+    /// Day of the identification.
     pub date: Option<String>,
     /// Source of parameters that were not identified by this program.
     pub source: Option<String>,
@@ -187,20 +195,15 @@ impl ModelFile {
         Ok(ModelFile { model, noise_floor, validation, uncertainty, consistent, provenance })
     }
 
+    /// Reads a file, as [`ModelFile::parse`].
+    ///
+    /// # Errors
+    /// A file that can't be read, else those of [`ModelFile::parse`].
     pub fn load(path: &Path, chain_of: impl FnOnce(&str) -> Result<Chain, BadInput>) -> Result<ModelFile, BadInput> {
         let file = path.display().to_string();
         let text = std::fs::read_to_string(path)
             .map_err(|error| BadInput::new(&file, "file", error, "a readable model file"))?;
         ModelFile::parse(&file, &text, chain_of)
-    }
-
-    /// The text that a daemon is offered: without the uncertainty, which the loop has no use for.
-    pub fn served_toml(&self) -> String {
-        ModelFile { uncertainty: None, ..self.clone() }.to_toml()
-    }
-
-    pub fn save(&self, path: &Path) -> std::io::Result<()> {
-        atomic::write_file(path, self.to_toml().as_bytes())
     }
 }
 

@@ -1,0 +1,217 @@
+// The identified model in a controller's loop: C interface of plumbline. Made by cbindgen from crates/client-c; do not edit.
+
+#ifndef PLUMBLINE_H
+#define PLUMBLINE_H
+
+#include <stddef.h>
+#include <stdint.h>
+
+// Result of a call. 1 to 19: of a call in the control loop, which then has written nothing.
+typedef enum PlumblineCode {
+  // Success.
+  PLUMBLINE_OK = 0,
+  // A pointer is null, or a text is not UTF-8.
+  PLUMBLINE_ARGUMENT = 1,
+  // No model has arrived yet.
+  PLUMBLINE_NO_MODEL = 2,
+  // An array has another length than the model needs.
+  PLUMBLINE_LENGTH = 3,
+  // A number of the input is infinite or NaN.
+  PLUMBLINE_NOT_FINITE = 4,
+  // The model has effects that are computed for its own gravity in advance.
+  PLUMBLINE_FIXED_GRAVITY = 5,
+  // The model is not valid under this gravity.
+  PLUMBLINE_MOUNTING = 6,
+  // The model file has no `[uncertainty]`.
+  PLUMBLINE_NO_UNCERTAINTY = 7,
+  // The queue of samples is full: the sample is lost, and counted.
+  PLUMBLINE_QUEUE_FULL = 8,
+  // A file or a name that can't be used.
+  PLUMBLINE_INPUT = 20,
+  // No daemon serves the robot.
+  PLUMBLINE_NO_DAEMON = 21,
+  // The daemon's messages have another layout.
+  PLUMBLINE_LAYOUT = 22,
+  // No slot is left for another client.
+  PLUMBLINE_FULL = 23,
+  // Shared memory failed.
+  PLUMBLINE_TRANSPORT = 24,
+  // The followed daemon has ended; the last model is kept, and the next daemon is followed.
+  PLUMBLINE_DAEMON_GONE = 25,
+  // The daemon serves a model of another robot than expected.
+  PLUMBLINE_OTHER_ROBOT = 26,
+  // Gravity is not the expected one, or the model is not valid under it.
+  PLUMBLINE_OTHER_MOUNTING = 27,
+  // The served text is not that of the model that its header names.
+  PLUMBLINE_DAMAGED = 28,
+  // Another process publishes the states of this arm.
+  PLUMBLINE_SECOND_PUBLISHER = 29,
+  // A thread of the library failed.
+  PLUMBLINE_THREAD = 30,
+  // The library panicked: a bug. Free the handle, and use it for nothing else.
+  PLUMBLINE_PANIC = 31,
+} PlumblineCode;
+
+// Publisher of the states of an arm that the caller controls.
+typedef struct PlumblineGuest PlumblineGuest;
+
+// The identified model of an arm's torques.
+typedef struct PlumblineModel PlumblineModel;
+
+// The model as the loop has it at this moment.
+typedef struct PlumblineStatus {
+  // Identity of the model that the next call uses, 0 for none.
+  uint64_t model;
+  // Time since the follower last found the daemon running [ns]; 0 for a file.
+  uint64_t age_ns;
+  // 0 none served yet, 1 valid, 3 withdrawn, 4 contradicted by the measured torques.
+  uint32_t validity;
+} PlumblineStatus;
+
+#ifdef __cplusplus
+extern "C" {
+#endif // __cplusplus
+
+// Text of a [`PlumblineCode`]. Never null, never freed.
+const char *plumbline_text(int32_t code);
+
+// Text of this thread's last error with a code of 20 or more, with its file, value or robot; valid until this thread's next call of this
+// library. Not for the control loop.
+const char *plumbline_last_error(void);
+
+// The model of a file under `gravity`, 3 values in the base frame [m/s2].
+//
+// # Safety
+// `path` ends with a zero, `gravity` has 3 values, `model` may be written to; any may be null.
+enum PlumblineCode plumbline_model_load(const char *path, const double *gravity, struct PlumblineModel **model);
+
+// The model that the daemon of `robot` serves, followed by a thread of the library. Waits up to `timeout_s` seconds for daemon and model.
+// `expected_robot` and `expected_gravity` (3 values [m/s2]) may be null: anything is accepted.
+//
+// # Safety
+// Texts end with a zero, `expected_gravity` has 3 values, `model` may be written to; any may be null.
+enum PlumblineCode plumbline_model_follow(const char *robot,
+                                          const char *expected_robot,
+                                          const double *expected_gravity,
+                                          double timeout_s,
+                                          struct PlumblineModel **model);
+
+// Frees a model; null is allowed.
+//
+// # Safety
+// `model` is null or from this library, and not used afterwards.
+void plumbline_model_free(struct PlumblineModel *model);
+
+// What following the daemon has last failed at, PLUMBLINE_OK while it succeeds; its text by plumbline_last_error. Not for the control loop.
+//
+// # Safety
+// `model` is null or from this library.
+enum PlumblineCode plumbline_model_trouble(const struct PlumblineModel *model);
+
+// Identity and validity of the model, and time since the daemon was found running.
+//
+// # Safety
+// `model` is null or from this library, `status` is null or may be written to.
+enum PlumblineCode plumbline_status(struct PlumblineModel *model, struct PlumblineStatus *status);
+
+// Number of joints, and of columns of the regressor.
+//
+// # Safety
+// `model` is null or from this library, `joints` and `columns` are null or may be written to.
+enum PlumblineCode plumbline_sizes(struct PlumblineModel *model, uintptr_t *joints, uintptr_t *columns);
+
+// Torque that the arm needs at a state, n values [Nm]: all terms of the model. Call it once per cycle. `gravity` is 3 values [m/s2], or null
+// for the model's own.
+//
+// # Safety
+// `model` is null or from this library; arrays are null or have n values, `gravity` 3. `tau` does not overlap the others.
+enum PlumblineCode plumbline_torque(struct PlumblineModel *model,
+                                    uintptr_t n,
+                                    const double *q,
+                                    const double *dq,
+                                    const double *ddq,
+                                    const double *gravity,
+                                    double *tau);
+
+// Torque of gravity at rest at `q` under the model's own gravity, n values [Nm].
+//
+// # Safety
+// As plumbline_torque.
+enum PlumblineCode plumbline_gravity(struct PlumblineModel *model, uintptr_t n, const double *q, double *tau);
+
+// Centrifugal and Coriolis torques, n values [Nm].
+//
+// # Safety
+// As plumbline_torque.
+enum PlumblineCode plumbline_coriolis(struct PlumblineModel *model, uintptr_t n, const double *q, const double *dq, double *tau);
+
+// Viscous and Coulomb friction, n values [Nm].
+//
+// # Safety
+// As plumbline_torque.
+enum PlumblineCode plumbline_friction(struct PlumblineModel *model, uintptr_t n, const double *dq, double *tau);
+
+// Inertia matrix, n n values (symmetric) [kg m2].
+//
+// # Safety
+// As plumbline_torque; `matrix` has n n values.
+enum PlumblineCode plumbline_inertia(struct PlumblineModel *model, uintptr_t n, const double *q, double *matrix);
+
+// Regressor Y with tau = Y beta, n p values, column after column; p is the number of columns by plumbline_sizes.
+//
+// # Safety
+// As plumbline_torque; `y` has n p values.
+enum PlumblineCode plumbline_regressor(struct PlumblineModel *model,
+                                       uintptr_t n,
+                                       uintptr_t p,
+                                       const double *q,
+                                       const double *dq,
+                                       const double *ddq,
+                                       double *y);
+
+// Standard deviation of the model's torque by the covariance of its parameters, n values [Nm].
+//
+// # Safety
+// As plumbline_torque.
+enum PlumblineCode plumbline_torque_std(struct PlumblineModel *model,
+                                        uintptr_t n,
+                                        const double *q,
+                                        const double *dq,
+                                        const double *ddq,
+                                        double *std);
+
+// Opens the publisher of the states of `robot` with n joints. Needs no daemon.
+//
+// # Safety
+// `robot` ends with a zero, `guest` may be written to; either may be null.
+enum PlumblineCode plumbline_guest_open(const char *robot, uintptr_t n, struct PlumblineGuest **guest);
+
+// Publishes the state of one cycle: measured position [rad], velocity [rad/s], torque [Nm], desired position [rad], n values each. For
+// the control loop.
+//
+// # Safety
+// `guest` is null or from this library; arrays are null or have n values.
+enum PlumblineCode plumbline_guest_publish(struct PlumblineGuest *guest,
+                                           uintptr_t n,
+                                           const double *q,
+                                           const double *dq,
+                                           const double *tau,
+                                           const double *q_d);
+
+// Samples lost on this side so far; 0 for null.
+//
+// # Safety
+// `guest` is null or from this library.
+uint64_t plumbline_guest_lost(const struct PlumblineGuest *guest);
+
+// Sends what is queued, and frees the publisher; null is allowed.
+//
+// # Safety
+// `guest` is null or from this library, and not used afterwards.
+void plumbline_guest_free(struct PlumblineGuest *guest);
+
+#ifdef __cplusplus
+}  // extern "C"
+#endif  // __cplusplus
+
+#endif  /* PLUMBLINE_H */
