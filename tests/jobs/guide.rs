@@ -38,7 +38,8 @@ fn near(one: f64, other: f64, decimals: usize) -> bool {
         0 if size < 100.0 => apart == 0.0,
         0 => apart <= 0.1 * size,
         // What an effect leaves of the torque that repeats is next to nothing, and its last digit is noise.
-        _ => apart <= (0.1 * size).max(5.01 * 10f64.powi(-(decimals as i32))),
+        // Differences of errors scatter by a sixth of themselves.
+        _ => apart <= (0.25 * size).max(5.01 * 10f64.powi(-(decimals as i32))),
     }
 }
 
