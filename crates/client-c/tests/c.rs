@@ -2,7 +2,7 @@
 
 use plumbline_client::Model;
 use plumbline_core::Validity;
-use plumbline_ipc::{GuestDelivery, GuestReceiver, ModelHeader, ServerSettings};
+use plumbline_ipc::{GuestDelivery, GuestReceiver, ModelClient, ModelHeader, ServerSettings};
 use plumbline_model::{Mounting, Reduction, Robot, Structure, TorqueModel};
 use plumbline_model_file::{ModelFile, Provenance, model_identity};
 use plumbline_testkit::arms::{chain, draw};
@@ -104,13 +104,16 @@ fn text(robot: &str) -> String {
 
 /// What a program prints.
 fn run(program: &Path, arguments: &[&str], input: &[u8]) -> Vec<u8> {
-    let mut child = Command::new(program).args(arguments).stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().unwrap();
+    let mut command = Command::new(program);
+    let mut child =
+        command.args(arguments).stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
     let mut stdin = child.stdin.take().unwrap();
     let done = std::thread::scope(|scope| {
         scope.spawn(move || stdin.write_all(input).unwrap());
         child.wait_with_output().unwrap()
     });
-    assert!(done.status.success(), "{} {arguments:?}: {}", program.display(), done.status);
+    let errors = String::from_utf8_lossy(&done.stderr);
+    assert!(done.status.success(), "{} {arguments:?}: {}\n{errors}", program.display(), done.status);
     done.stdout
 }
 
@@ -190,6 +193,9 @@ fn the_examples_run_and_print_the_models_torque() {
             poll_until(server, stop);
         });
         let mut receiver = GuestReceiver::open(&robot).unwrap();
+        // The program starts after the model was published.
+        let mut client = ModelClient::connect(&robot, TIMEOUT).unwrap();
+        wait_for("the model", || client.receive().unwrap().is_some_and(|message| message.header.model != 0));
         let mut samples = Vec::new();
         let printed = std::thread::scope(|scope| {
             let running = scope.spawn(|| numbers(&run(&program, &[robot.as_str()], &[])));

@@ -6,6 +6,7 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use iceoryx2::port::publisher::Publisher;
 use iceoryx2::port::server::Server as RequestServer;
+use iceoryx2::port::update_connections::UpdateConnections;
 use iceoryx2::port::{DegradationAction, DegradationCause, DegradationFn};
 use iceoryx2::prelude::*;
 use serde::Deserialize;
@@ -215,6 +216,14 @@ impl Server {
         }
     }
 
+    /// Hands the served model to clients that connected since it was published: iceoryx2 does it when the publisher sends or is asked to, and
+    /// a model is sent when it changes.
+    fn connect_model_clients(&mut self) {
+        if let Err(error) = self.model.update_connections() {
+            self.report_error("model", format!("{error:?}"));
+        }
+    }
+
     /// Responds to all received requests: replay itself, commands through `handle`, heavy ones included. Returns the number of commands handled.
     ///
     /// To be called every few milliseconds. The time of a call is bounded, except for heavy requests.
@@ -242,6 +251,7 @@ impl Server {
         max_heavy: usize,
         answer: impl FnMut(IncomingRequest, &Served) -> Option<Response>,
     ) -> usize {
+        self.connect_model_clients();
         self.poll_replay();
         self.check_followers();
         self.report_failed_connections();

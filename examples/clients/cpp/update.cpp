@@ -21,6 +21,11 @@ public:
     Return on_configure(const std::string &robot) {
         model_.emplace(plumbline::Model<7>::follow(robot, 10.0, "panda"));
         guest_.emplace(robot);
+        if (model_->status().validity == 0) {
+            std::fprintf(stderr, "%s: no model within 10 s\n", robot.c_str());
+            model_->check_daemon();
+            return Return::ERROR;
+        }
         return Return::OK;
     }
 

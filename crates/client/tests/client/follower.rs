@@ -17,6 +17,7 @@ fn header(model: u64, validity: Validity) -> ModelHeader {
 /// Publishes what the test sends, until the flag is set.
 fn publish(server: &mut Server, stop: &AtomicBool, models: &Receiver<(ModelHeader, String)>) {
     while !stop.load(Ordering::Relaxed) {
+        server.poll(|_, _| unreachable!("nobody sends commands"));
         match models.recv_timeout(Duration::from_millis(1)) {
             Ok((header, text)) => server.model(header, &text),
             Err(_) => std::thread::sleep(Duration::from_millis(1)),
@@ -107,6 +108,28 @@ fn a_served_model_is_followed_through_everything_that_a_daemon_does() {
     assert_eq!(model.status().model, id_2);
     let epoch = daemon.stop();
     assert!(seen.contains(&Change::Restarted { epoch }), "{seen:?}");
+}
+
+#[test]
+fn a_controller_that_starts_later_gets_the_model_that_is_served() {
+    let robot = robot("late");
+    let (text, id) = text("panda", 1);
+    let (published, known) = channel();
+    let daemon = Daemon::start(&robot, ServerSettings::default(), move |server, stop| {
+        server.model(header(id, Validity::Valid), &text);
+        published.send(()).unwrap();
+        poll_until(server, stop);
+    });
+    known.recv().unwrap();
+    // The first one that connects, one beside it, and one after it has gone.
+    let (mut first, _model) = Follower::connect(robot.as_str(), Expected::default(), TIMEOUT).unwrap();
+    assert_eq!(changes(&mut first), [Change::Served { model: id }]);
+    let (mut second, _model) = Follower::connect(robot.as_str(), Expected::default(), TIMEOUT).unwrap();
+    assert_eq!(changes(&mut second), [Change::Served { model: id }]);
+    drop(first);
+    let mut model = Model::follow(robot.as_str(), Expected::default(), TIMEOUT).unwrap();
+    assert_eq!(model.joints(), Ok(7));
+    daemon.stop();
 }
 
 #[test]
