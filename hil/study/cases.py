@@ -632,7 +632,7 @@ def describe(case, e):
         "offset": {"offset": sign * size}, "offset-run": {"offset": sign * size}, "offset-step": {"offset": sign * size},
         "gain": {"gain": sign * size}, "zero": {"zero": -sign * size}, "backlash": {"gap": size}, "delay": {"delay": round(size) / case.rate},
         "payload-session": {"mass": size}, "payload-step": {"mass": size}, "load": {"fl": size},
-        "crosstalk": {"cross": sign * size}, "rotor": {"ia": size}, "spring": {"spring": size},
+        "crosstalk": {"cross": sign * size}, "rotor": {"ia": max(case.arm.rotor[j], size)}, "spring": {"spring": size},
         "elastic": {"compliance": 1 / (case.inertia[j] * (2 * np.pi * 4.0) ** 2 / size)},
     }.get(kind, {})
     return {

@@ -35,7 +35,6 @@ fn presliding(joint: usize) -> Effect {
         since_session: None,
         acts: None,
         withheld: None,
-        refuted: false,
         form: String::new(),
         in_model: true,
         equation: "tau_j = fp_j z, dz/dq_j = (1 - sign(dq_j) z) / delta".into(),

@@ -30,15 +30,6 @@ const MIN_DEVIATIONS: f64 = 2.0;
 /// Largest change of a parameter, in its standard deviations, at which the operating point has converged.
 const SETTLED_DEVIATIONS: f64 = 0.1;
 
-/// Why an effect is not in the delivered model.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Withheld {
-    /// A sentence.
-    pub why: String,
-    /// Whether physics or unseen runs contradict the effect. Otherwise they merely show too little of it.
-    pub refuted: bool,
-}
-
 /// What a delivery is made of.
 pub struct Delivery<'a> {
     /// What is diagnosed.
@@ -60,7 +51,7 @@ pub struct Delivery<'a> {
 }
 
 impl Delivery<'_> {
-    /// The model with the effects that help, and for each effect that it has not the reason. They have to help in the selection's fit, of which
+    /// The model with the effects that help, and for each effect that it has not the reason, a sentence. They have to help in the selection's fit, of which
     /// `adequacy` tells each joint's share (as far as the unseen runs show what the plain model `lacks`), and must do no harm in the model that is
     /// delivered: identified once more upon its own load, an effect near a resonance may come out as another one. An effect that passes this may
     /// be withheld for another reason: see [`Delivery::reason`].
@@ -73,16 +64,15 @@ impl Delivery<'_> {
         lacks: &[Option<f64>],
         adequacy: &[Option<f64>],
         confirmed: &[bool],
-    ) -> Result<(Fitted, Vec<Option<Withheld>>), EstimateError> {
+    ) -> Result<(Fitted, Vec<Option<String>>), EstimateError> {
         let too_little = |share: &[Option<f64>], found: &Found, least: f64| {
             let joint = found.relevance.joint;
             let share = share[joint].filter(|share| *share < least)?;
             let lack = format!("what the plain model lacks in joint {}", joint + 1);
-            let why = match share {
+            Some(match share {
                 share if share < 0.0 => format!("on unseen runs the effects add to {lack}"),
                 share => format!("on unseen runs the effects explain {:.0} % of {lack}", 100.0 * share),
-            };
-            Some(Withheld { why, refuted: share < 0.0 })
+            })
         };
         let least = |found: &Found| {
             let faint = lacks[found.relevance.joint].is_some_and(|lack| lack <= WEAK_SIGNAL_RATIO * WEAK_SIGNAL_RATIO);
@@ -91,7 +81,7 @@ impl Delivery<'_> {
         // What acts in a part is in no model.
         let everywhere: Vec<bool> = selected.state.items.iter().map(|item| item.span.is_all()).collect();
         let found = selected.found.iter().zip(&everywhere);
-        let mut withheld: Vec<Option<Withheld>> =
+        let mut withheld: Vec<Option<String>> =
             found.map(|(found, all)| too_little(adequacy, found, least(found)).filter(|_| *all)).collect();
         loop {
             let kept: Vec<bool> = withheld.iter().zip(&everywhere).map(|(why, all)| why.is_none() && *all).collect();
@@ -111,7 +101,7 @@ impl Delivery<'_> {
             let Some((index, why)) = self.reason(selected, &kept, &after, confirmed) else {
                 return Ok((after, withheld));
             };
-            withheld[index] = Some(Withheld { why, refuted: true });
+            withheld[index] = Some(why);
         }
     }
 

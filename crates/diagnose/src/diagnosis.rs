@@ -2,7 +2,7 @@
 
 use super::acting::{self, Acting};
 use super::curves;
-use super::delivery::{Delivery, Withheld};
+use super::delivery::Delivery;
 use super::detectable;
 use super::deviations::Deviations;
 use super::disagreement::{Disagreements, disagreements};
@@ -11,7 +11,7 @@ use super::errors::Of;
 use super::evidence::{Evidence, Trial};
 use super::fallback::{self, Residual};
 use super::figures::Curves;
-use super::fit::{MIN_INDEPENDENCE_RATIO, Problem, group};
+use super::fit::{MIN_INDEPENDENCE_RATIO, Problem};
 use super::gates;
 use super::input::{Input, RULES, Settings};
 use super::library::{Candidate, library, repeatable};
@@ -26,7 +26,6 @@ use super::select::{MAX_LISTED_SCORES, Scored, Search, Selected, Step, steps};
 use super::span::Span;
 use super::state::State;
 use super::unseen::{THRESHOLD_FLOOR_RATIO, Unseen, columns_of};
-use nalgebra::DVector;
 use plumbline_identify::solve::identify_with;
 use plumbline_identify::{EstimateError, Experiment};
 use plumbline_model::term::effect;
@@ -131,9 +130,12 @@ pub fn diagnose(input: &Input, settings: &Settings, progress: &dyn Fn(&Step)) ->
     let (after, withheld) = delivery.of(&selected, &lacks, &adequacy, &confirmed)?;
     let kept: Vec<bool> = withheld.iter().map(Option::is_none).collect();
     let all = effects_of(input, &search, &selected, &withheld, &confirmed, &adequacy, &after);
-    let (hints, effects): (Vec<Effect>, Vec<Effect>) = all.into_iter().partition(|effect| effect.refuted);
+    // What unseen runs do not show is no finding.
+    let (hints, effects): (Vec<Effect>, Vec<Effect>) = all.into_iter().partition(|effect| effect.withheld.is_some());
     // The residual of the delivered model.
-    let left = if kept.iter().any(|kept| *kept) { &selected.state } else { &base };
+    let withheld_items = (0..kept.len()).rev().filter(|&item| !kept[item]);
+    let without = withheld_items.fold(selected.state.clone(), |state, item| state.without(&search.problem, item));
+    let left = if kept.contains(&true) { &without } else { &base };
     let left_out = (evidence.folds().len() > 1).then(|| gates::left_out(&search.problem, &base, left));
     let facts = |joint: usize| {
         let left_out = left_out.as_ref().map_or(BeforeAfter::default(), |errors| BeforeAfter::both(errors[joint]));
@@ -145,11 +147,9 @@ pub fn diagnose(input: &Input, settings: &Settings, progress: &dyn Fn(&Step)) ->
     let residuals: Vec<Residual> = screened.iter().filter(|one| counts(one, &joints)).cloned().collect();
     let mut curves = curves::of(&search, &base, left, &residuals);
     // With unknown noise a joint may be too quiet to be called unexplained and still follow a variable.
-    let found = selected.found.iter().zip(&withheld).filter(|(_, why)| why.is_some());
-    let refused: Vec<usize> = found.map(|(found, _)| found.relevance.joint).collect();
     let learning = Learning { delivery: &delivery, evidence: &evidence, identified: &identified };
     let Learned { model, terms: empirical, curves: learned, maps } =
-        learning.of(&after, if evidence.repeats() { &residuals } else { &screened }, &refused)?;
+        learning.of(&after, if evidence.repeats() { &residuals } else { &screened })?;
     curves.effects.extend(learned);
     curves.maps.extend(maps);
     let compared = delivery.compared(&model, input.measuring());
@@ -322,15 +322,7 @@ fn vetoed(search: &Search, mut selected: Selected, input: &Input, evidence: &Evi
         // The parameters without it, at their places among the columns with it.
         let gone = state.range(item);
         let theta = rest.fit.theta.clone().insert_rows(gone.start, gone.len(), 0.0);
-        let error = |theta: &DVector<f64>| -> f64 {
-            let weighed = |joint: usize| {
-                let phi = &state.fit.phi[group(joint, 0)..group(joint + 1, 0)];
-                let scale = phi.iter().sum::<f64>() / phi.len() as f64;
-                unseen.residual(joint, theta).norm_squared() / scale
-            };
-            (0..unseen.evidence.joints()).map(weighed).sum()
-        };
-        if error(&theta) > error(&state.fit.theta) {
+        if unseen.gain(&state.fit.phi, &theta, &state.fit.theta) > 0.0 {
             item += 1;
             continue;
         }
@@ -358,10 +350,7 @@ fn end_where_refuted(search: &Search, state: &mut State, evidence: &Evidence, in
         let mut without = state.fit.theta.clone();
         let range = state.range(item);
         without.rows_mut(range.start, range.len()).fill(0.0);
-        let error = |theta: &DVector<f64>| -> f64 {
-            (0..evidence.joints()).map(|joint| unseen.residual(joint, theta).norm_squared()).sum()
-        };
-        if error(&state.fit.theta) > error(&without) {
+        if unseen.gain(&state.fit.phi, &without, &state.fit.theta) < 0.0 {
             state.items[item].span.to = end;
         }
     }
@@ -371,7 +360,7 @@ fn effects_of(
     input: &Input,
     search: &Search,
     selected: &Selected,
-    withheld: &[Option<Withheld>],
+    withheld: &[Option<String>],
     confirmed: &[bool],
     adequacy: &[Option<f64>],
     after: &Fitted,
@@ -409,8 +398,7 @@ fn effects_of(
             explained_share: Some(found.relevance.share[joint].max(0.0)),
             confirmed: confirmed[index],
             in_model,
-            withheld: withheld[index].as_ref().map(|own| own.why.clone()),
-            refuted: withheld[index].as_ref().is_some_and(|own| own.refuted),
+            withheld: withheld[index].clone(),
             acts: acting::acts(item.span, input.identify),
             ..found.effect(&item.spec)
         };

@@ -68,6 +68,10 @@ pub struct Evidence {
     repeats: bool,
     motions: Vec<Thinned>,
     recorded: Vec<Recorded>,
+    /// Periods that the mean of each experiment is of.
+    periods: Vec<f64>,
+    /// Largest step of each joint's encoder in any experiment \[rad\]; 0 where its noise hides it.
+    encoder_steps: Vec<f64>,
     chain: Chain,
 }
 
@@ -145,6 +149,10 @@ impl Evidence {
                 cells.extend(cells_of(joint, index, fold));
             }
         }
+        let encoder_step = |joint: usize| {
+            let steps = trials.iter().filter_map(|trial| trial.experiment.resolution.get(joint).copied());
+            steps.fold(0.0, f64::max)
+        };
         let repeats = trials.iter().all(|trial| trial.experiment.scatter.is_some());
         let sigma = (0..joints).map(|joint| noise(trials, &folds, joint, repeats)).collect();
         Evidence {
@@ -155,6 +163,8 @@ impl Evidence {
             repeats,
             motions,
             recorded: trials.iter().map(recorded).collect(),
+            periods: trials.iter().map(|trial| trial.experiment.averaged_periods() as f64).collect(),
+            encoder_steps: (0..joints).map(encoder_step).collect(),
             chain: chain.clone(),
         }
     }
@@ -172,6 +182,11 @@ impl Evidence {
     /// The cells, joint by joint, within that fold by fold.
     pub fn cells(&self) -> &[Cell] {
         &self.cells
+    }
+
+    /// Step of a joint's encoder \[rad\]; 0 where its noise hides it.
+    pub fn encoder_step(&self, joint: usize) -> f64 {
+        self.encoder_steps[joint]
     }
 
     /// Whether repetitions tell the noise.
@@ -195,10 +210,39 @@ impl Evidence {
         self.folds.iter().map(|fold| fold.samples.len() as f64).sum()
     }
 
-    /// Mean square of the noise of a joint in the band \[Nm2\]; nothing without repeats.
+    /// RMS of the noise of a joint's mean periods in the band \[Nm\]; nothing without repeats.
     pub fn floor(&self, joint: usize) -> Option<f64> {
-        let square: f64 = self.sigma[joint].iter().map(|sigma| sigma * sigma).sum();
-        self.repeats.then(|| (square / self.samples()).sqrt())
+        self.floor_below(joint, BAND_EDGES_HZ.len())
+    }
+
+    /// The same in the lowest `bands` of [`BAND_EDGES_HZ`] alone.
+    pub fn floor_below(&self, joint: usize, bands: usize) -> Option<f64> {
+        self.noise_below(joint, bands, |_periods| 1.0)
+    }
+
+    /// The same of single periods.
+    pub fn floor_of_a_period_below(&self, joint: usize, bands: usize) -> Option<f64> {
+        self.noise_below(joint, bands, |periods| periods)
+    }
+
+    /// Noise whose power is that of the mean of some periods times `factor` of their number.
+    fn noise_below(&self, joint: usize, bands: usize, factor: impl Fn(f64) -> f64) -> Option<f64> {
+        let power = |cell: &Cell| {
+            let sigma = &self.sigma[joint][cell.rows.clone()];
+            let periods = self.periods[self.folds[cell.fold].experiment];
+            factor(periods) * sigma.iter().map(|sigma| sigma * sigma).sum::<f64>()
+        };
+        let power: f64 = self.cells_below(joint, bands).map(power).sum();
+        self.repeats.then(|| (power / self.samples()).sqrt())
+    }
+
+    fn cells_below(&self, joint: usize, bands: usize) -> impl Iterator<Item = &Cell> {
+        self.cells.iter().filter(move |cell| cell.joint == joint && cell.band < bands)
+    }
+
+    /// Rows of a joint in the lowest `bands` of [`BAND_EDGES_HZ`].
+    pub fn rows_below(&self, joint: usize, bands: usize) -> impl Iterator<Item = usize> {
+        self.cells_below(joint, bands).flat_map(|cell| cell.rows.clone())
     }
 
     /// Measured torques, per joint.

@@ -1,13 +1,13 @@
 //! Weighted fits, and how much likelihood a candidate brings.
 //!
 //! Rows are divided by their noise, so a complete model leaves a mean square of one in every joint and band. A missing effect
-//! shows as an over-dispersion `phi = max(1, RSS / n)` of that joint and band, and the profile log likelihood (Whittle's, with `phi` put
-//! in its best place) is
+//! shows as an over-dispersion `phi = max(1, (RSS + v) / (n + v))` of that joint and band, and the profile log likelihood (Whittle's, with
+//! `phi` put in its best place, and a prior as of `v` = 10 rows of nothing but noise) is
 //!
-//!   L = -1/2 sum_g [ n_g ln phi_g + RSS_g / phi_g ].
+//!   L = -1/2 sum_g [ (n_g + v) ln phi_g + (RSS_g + v) / phi_g ].
 //!
 //! `phi` is estimated again with every candidate: estimated before it, an offset would explain itself away. Without repeats the noise
-//! has no known scale, and `phi` is near `RSS / n`.
+//! has no known scale, `v` is 0 and `phi` is near `RSS / n`.
 
 use super::evidence::{BAND_EDGES_HZ, Evidence};
 use super::moments::{Cross, Moments};
@@ -18,6 +18,9 @@ use plumbline_core::symmetric_eigen;
 const RANK_RATIO: f64 = 1e-11;
 /// Rows that the whole joint counts for in each of its bands, where the noise is not known.
 const POOLED_ROWS: f64 = 30.0;
+/// Rows of nothing but noise that each band of a joint is taken to have besides its own, where the noise is known: a prior of its
+/// over-dispersion. A band of few rows could explain what one effect did to it by over-dispersion otherwise.
+const ROWS_OF_NOISE: f64 = 10.0;
 /// Rounds of weights.
 const MAX_WEIGHT_ROUNDS: usize = 12;
 /// Change of their logarithm at which they have settled.
@@ -125,7 +128,8 @@ impl Problem<'_> {
     /// then would weigh more than all others.
     fn phi(&self, rss: &[f64], count: &[f64]) -> Vec<f64> {
         if self.evidence.repeats() {
-            return rss.iter().zip(count).map(|(rss, count)| (rss / count.max(1.0)).max(1.0)).collect();
+            let of = |(rss, count): (&f64, &f64)| ((rss + ROWS_OF_NOISE) / (count + ROWS_OF_NOISE)).max(1.0);
+            return rss.iter().zip(count).map(of).collect();
         }
         let mut phi = Vec::with_capacity(rss.len());
         for (rss, count) in rss.chunks(BAND_EDGES_HZ.len()).zip(count.chunks(BAND_EDGES_HZ.len())) {
@@ -155,7 +159,8 @@ impl Problem<'_> {
     /// Profile log likelihood of squared residuals, without what the prior adds.
     pub fn likelihood(&self, rss: &[f64], count: &[f64]) -> f64 {
         let phi = self.phi(rss, count);
-        let group = |((rss, count), phi): ((&f64, &f64), &f64)| count * phi.ln() + rss / phi;
+        let known = if self.evidence.repeats() { ROWS_OF_NOISE } else { 0.0 };
+        let group = |((rss, count), phi): ((&f64, &f64), &f64)| (count + known) * phi.ln() + (rss + known) / phi;
         -0.5 * rss.iter().zip(count).zip(&phi).map(group).sum::<f64>()
     }
 
@@ -240,23 +245,52 @@ impl Problem<'_> {
         Estimate { theta, h, weights, phi, rss, likelihood }
     }
 
-    /// Parameters that all folds but one determine, under given weights, for each fold in turn.
-    pub fn left_out(&self, moments: &Moments, phi: &[f64]) -> Vec<DVector<f64>> {
+    /// Normal equations of each fold under given weights, and its weighed square of the torques.
+    fn of_folds(&self, moments: &Moments, phi: &[f64]) -> Vec<(DMatrix<f64>, DVector<f64>, f64)> {
         let p = moments.width;
-        let mut folds = vec![(DMatrix::zeros(p, p), DVector::zeros(p)); self.evidence.folds().len()];
+        let mut folds = vec![(DMatrix::zeros(p, p), DVector::zeros(p), 0.0); self.evidence.folds().len()];
         for (cell, own) in self.evidence.cells().iter().zip(&moments.cells) {
             let weight = 1.0 / phi[group(cell.joint, cell.band)];
-            let (g, b) = &mut folds[cell.fold];
+            let (g, b, r2) = &mut folds[cell.fold];
             g.zip_apply(&own.g, |sum, own| *sum += weight * own);
             b.axpy(weight, &own.b, 1.0);
+            *r2 += weight * own.r2;
         }
-        let (mut g, mut b) = (DMatrix::zeros(p, p), DVector::zeros(p));
+        folds
+    }
+
+    /// Normal equations of all folds together, with what the prior adds, and the weighed square of the torques.
+    fn of_all(&self, folds: &[(DMatrix<f64>, DVector<f64>, f64)], width: usize) -> (DMatrix<f64>, DVector<f64>, f64) {
+        let (mut g, mut b, mut r2) = (DMatrix::zeros(width, width), DVector::zeros(width), 0.0);
         self.add_prior(&mut g);
-        for (own_g, own_b) in &folds {
+        for (own_g, own_b, own_r2) in folds {
             g += own_g;
             b += own_b;
+            r2 += own_r2;
         }
-        folds.iter().map(|(own_g, own_b)| inverse(&(&g - own_g)) * (&b - own_b)).collect()
+        (g, b, r2)
+    }
+
+    /// Parameters that all folds but one determine, under given weights, for each fold in turn.
+    pub fn left_out(&self, moments: &Moments, phi: &[f64]) -> Vec<DVector<f64>> {
+        let folds = self.of_folds(moments, phi);
+        let (g, b, _) = self.of_all(&folds, moments.width);
+        folds.iter().map(|(own_g, own_b, _)| inverse(&(&g - own_g)) * (&b - own_b)).collect()
+    }
+
+    /// How little each fold is expected of the others, under given weights: minus twice the log of its predictive density but for a constant,
+    /// the increase of the least weighed squared residual by the fold. Parameters that the other folds do not determine cost nothing in it, as
+    /// they would in the error of parameters that are fitted without the fold.
+    pub fn surprise(&self, moments: &Moments, phi: &[f64]) -> Vec<f64> {
+        let folds = self.of_folds(moments, phi);
+        let (g, b, r2) = self.of_all(&folds, moments.width);
+        // Errors of the inverse are squared in this form, and are not in `r2 - theta . b`.
+        let least = |g: &DMatrix<f64>, b: &DVector<f64>, r2: f64| {
+            let theta = inverse(g) * b;
+            r2 - 2.0 * theta.dot(b) + (g * &theta).dot(&theta)
+        };
+        let all = least(&g, &b, r2);
+        folds.iter().map(|(own_g, own_b, own_r2)| all - least(&(&g - own_g), &(&b - own_b), r2 - own_r2)).collect()
     }
 
     /// The weighted normal equations of all folds, with what the prior adds: the inverse of a fit's `h` where they have full rank.

@@ -1,10 +1,10 @@
 //! What a candidate has to show besides a score: that it holds on trajectories it was not fitted to, and that it matters.
 
-use super::evidence::Evidence;
+use super::evidence::{BAND_EDGES_HZ, Evidence};
 use super::fit::{Problem, group};
 use super::library::Candidate;
 use super::outcome;
-use super::state::{State, Tried, mean_square};
+use super::state::{State, Tried, mean_square_below};
 use nalgebra::DVector;
 
 /// A fold is informative between these shares of the fitted effect's energy: below, the effect hardly shows in it; above, it is the only fold
@@ -20,11 +20,11 @@ const MAX_LEFT_OUT_LOSS_RATIO: f64 = 0.3;
 /// How the folds judge a candidate.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct FoldTest {
-    /// Folds whose error falls when the effect, fitted to the others, is added.
+    /// Informative folds that are predicted better when the effect is added.
     pub positive: usize,
     /// Informative folds.
     pub informative: usize,
-    /// Twice the gain in log likelihood on folds left out, `sum_j n_j ln(error_without / error_with)` over all joints.
+    /// Where the noise is not known, twice the gain in log likelihood on folds left out, `sum_j n_j ln(error_without / error_with)` over all joints.
     pub evidence: f64,
     /// Share of the mean square removed on folds left out, in the joint with the largest share.
     pub share: f64,
@@ -54,7 +54,8 @@ impl FoldTest {
     }
 }
 
-/// Cross-validation: fits with and without the candidate, each fold left out in turn, and compares the errors on that fold.
+/// Cross-validation: fits with and without the candidate, each fold left out in turn, and compares what the others predict of that fold:
+/// [`Problem::surprise`] where the noise is known, the errors where it is not or the other parameters have a prior.
 pub fn folds(problem: &Problem, state: &State, tried: &Tried) -> FoldTest {
     let count = problem.evidence.folds().len();
     let mut found = FoldTest::default();
@@ -62,15 +63,24 @@ pub fn folds(problem: &Problem, state: &State, tried: &Tried) -> FoldTest {
         return found;
     }
     let phi = &tried.fit.phi;
-    let shares = shares(problem, state, tried);
     let alone = alone(problem, tried);
+    let within = |(fold, share): (usize, f64)| {
+        (INFORMATIVE_RATIOS.0..=INFORMATIVE_RATIOS.1).contains(&share) && !alone.contains(&fold)
+    };
+    let informative: Vec<bool> = shares(problem, state, tried).into_iter().enumerate().map(within).collect();
+    found.informative = informative.iter().filter(|informative| **informative).count();
     let known = problem.evidence.repeats();
+    if known && !tried.held {
+        let surprises = |moments| problem.surprise(moments, phi).into_iter();
+        let falls = surprises(&tried.moments).zip(surprises(&state.moments)).map(|(with, without)| with < without);
+        found.positive = falls.zip(informative).filter(|(falls, informative)| *falls && *informative).count();
+        return found;
+    }
     let with = problem.left_out(&tried.moments, phi);
     let without = if tried.held { Vec::new() } else { problem.left_out(&state.moments, phi) };
     // Per joint: weighted and plain error, each without and with the candidate.
     let mut errors = vec![[[0.0; 2]; 2]; problem.evidence.joints()];
-    for (fold, share) in shares.into_iter().enumerate() {
-        let informative = (INFORMATIVE_RATIOS.0..=INFORMATIVE_RATIOS.1).contains(&share) && !alone.contains(&fold);
+    for (fold, informative) in informative.into_iter().enumerate() {
         // With known noise, only the sign of the change is used.
         if known && !informative {
             continue;
@@ -88,7 +98,6 @@ pub fn folds(problem: &Problem, state: &State, tried: &Tried) -> FoldTest {
         }
         if informative {
             let weighed = |errors: &[[f64; 2]]| errors.iter().map(|own| own[0]).sum::<f64>();
-            found.informative += 1;
             found.positive += usize::from(weighed(&error_with) < weighed(&error_without));
         }
     }
@@ -169,14 +178,20 @@ pub struct Relevance {
     pub share: Vec<f64>,
     /// Joint in which it explains most, against the noise there where that is known.
     pub joint: usize,
+    /// RMS and share in the low bands alone, per joint. Noise that grows with the frequency, as that of an encoder's steps does, would hide
+    /// there what spoils the torque of every slow motion.
+    pub low: Vec<(f64, f64)>,
 }
+
+/// Number of the bands that are the low ones: below 4 Hz.
+const LOW_BANDS: usize = 4;
 
 /// Measures it.
 pub fn relevance(evidence: &Evidence, state: &State, tried: &Tried, item: &Candidate) -> Relevance {
     let change = change(state, tried);
     let own = state.fit.theta.len();
     let (shift, gamma) = (change.rows(0, own), change.rows(own, change.len() - own));
-    let mut found = Relevance { rms: Vec::new(), share: Vec::new(), joint: 0 };
+    let mut found = Relevance::default();
     let mut worth = Vec::new();
     let without = if tried.held { tried.fit.theta.rows(0, own).into_owned() } else { state.fit.theta.clone() };
     for joint in 0..evidence.joints() {
@@ -185,15 +200,24 @@ pub fn relevance(evidence: &Evidence, state: &State, tried: &Tried, item: &Candi
             fitted += part * gamma;
         }
         let residual = &state.columns.r[joint] - &state.columns.m[joint] * &without;
-        let floor = evidence.floor(joint).unwrap_or(0.0);
-        let square = mean_square(evidence, joint, &residual);
-        let before = (square - floor * floor).max(0.0);
-        let taken = square - mean_square(evidence, joint, &(residual - &fitted));
-        found.rms.push(mean_square(evidence, joint, &fitted).sqrt());
-        let share = (taken / before.max(f64::MIN_POSITIVE)).clamp(-1.0, 1.0);
+        let left = &residual - &fitted;
+        // RMS of the change, mean square removed, and its share of what is unmodelled, in the lowest bands.
+        let below = |bands: usize| {
+            let square = |rows: &DVector<f64>| mean_square_below(evidence, joint, rows, bands);
+            let floor = evidence.floor_below(joint, bands).unwrap_or(0.0);
+            let before = square(&residual);
+            let taken = before - square(&left);
+            let unmodelled = (before - floor * floor).max(f64::MIN_POSITIVE);
+            (square(&fitted).sqrt(), taken, (taken / unmodelled).clamp(-1.0, 1.0))
+        };
+        let (rms, taken, share) = below(BAND_EDGES_HZ.len());
         // Normalised by the noise floor: a large share of a tiny residual is irrelevant.
+        let floor = evidence.floor(joint).unwrap_or(0.0);
         worth.push(if floor > 0.0 { taken / (floor * floor) } else { share });
+        found.rms.push(rms);
         found.share.push(share);
+        let (rms, _, share) = below(LOW_BANDS);
+        found.low.push((rms, share));
     }
     let touched = item.joints();
     let best = touched.into_iter().max_by(|&a, &b| worth[a].total_cmp(&worth[b]));
@@ -201,17 +225,28 @@ pub fn relevance(evidence: &Evidence, state: &State, tried: &Tried, item: &Candi
     found
 }
 
-/// Whether an effect is worth a term in the model.
-pub fn matters(evidence: &Evidence, found: &Relevance, item: &Candidate, settings: &super::Settings) -> bool {
-    item.joints().into_iter().any(|joint| {
-        let least = match (settings.threshold, evidence.floor(joint)) {
-            (Some(threshold), _) => threshold,
-            (None, Some(floor)) => settings.least_floor * floor,
-            (None, None) => 0.0,
-        };
-        let share = if evidence.repeats() { settings.least_share } else { settings.least_share_of_all };
-        found.rms[joint] >= least && found.share[joint] >= share
+/// Whether an effect is worth a term in the model: in one joint it removes a share of what is unmodelled, and its torque exceeds a share of the
+/// noise of the mean period; or so in the low bands, in the noise of one period, as errors are measured and reported run by run.
+pub fn matters(evidence: &Evidence, found: &Relevance, settings: &super::Settings) -> bool {
+    let share = if evidence.repeats() { settings.least_share } else { settings.least_share_of_all };
+    let enough = |floor: Option<f64>, (rms, explained): (f64, f64)| {
+        let least = settings.threshold.or(floor.map(|floor| settings.least_floor * floor)).unwrap_or(0.0);
+        rms >= least && explained >= share
+    };
+    // Also a joint that it does not act in: the base parameters may have taken it over, and spoil the torque there.
+    (0..evidence.joints()).any(|joint| {
+        enough(evidence.floor(joint), (found.rms[joint], found.share[joint]))
+            || enough(evidence.floor_of_a_period_below(joint, LOW_BANDS), found.low[joint])
     })
+}
+
+/// Whether the encoder shows an effect of this size: a displacement within one of its steps can't be told from its rounding, which repeats in
+/// every period and is in no scatter.
+pub fn shows(evidence: &Evidence, item: &Candidate) -> bool {
+    let Some(form) = item.spec.family().ok().and_then(|family| family.form(item.spec.form)) else { return true };
+    let step = item.spec.site.joints().first().map_or(0.0, |&joint| evidence.encoder_step(joint));
+    let mut settings = form.settings.iter().zip(&item.spec.settings);
+    settings.all(|(setting, value)| !setting.is_displacement() || *value > step)
 }
 
 #[cfg(test)]

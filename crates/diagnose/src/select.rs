@@ -392,11 +392,11 @@ impl<'a> Search<'a> {
 
     /// Whether a candidate passes every gate.
     fn passes(&self, state: &State, one: &Scored) -> bool {
-        if one.score <= 0.0 {
+        if one.score <= 0.0 || self.evidence().repeats() && !gates::shows(self.evidence(), &one.item) {
             return false;
         }
         let relevance = gates::relevance(self.evidence(), state, &one.tried, &one.item);
-        if !gates::matters(self.evidence(), &relevance, &one.item, self.settings) {
+        if !gates::matters(self.evidence(), &relevance, self.settings) {
             return false;
         }
         let folds = gates::folds(&self.problem, state, &one.tried);

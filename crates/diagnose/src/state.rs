@@ -1,6 +1,6 @@
 //! A model under test: the base parameters and the effects taken in so far, fitted to the evidence.
 
-use super::evidence::Evidence;
+use super::evidence::{BAND_EDGES_HZ, Evidence};
 use super::fit::{Fit, Problem};
 use super::library::Candidate;
 use super::moments::{Columns, Cross, Moments};
@@ -93,8 +93,14 @@ impl State {
 
 /// Mean square of a signal by its weighed coefficients \[Nm2\].
 pub fn mean_square(evidence: &Evidence, joint: usize, rows: &DVector<f64>) -> f64 {
-    let square = |(row, sigma): (&f64, &f64)| (row * sigma).powi(2);
-    rows.iter().zip(evidence.sigma(joint)).map(square).sum::<f64>() / evidence.samples()
+    mean_square_below(evidence, joint, rows, BAND_EDGES_HZ.len())
+}
+
+/// The same in the lowest `bands` of [`BAND_EDGES_HZ`] alone.
+pub fn mean_square_below(evidence: &Evidence, joint: usize, rows: &DVector<f64>, bands: usize) -> f64 {
+    let sigma = evidence.sigma(joint);
+    let square = |row: usize| (rows[row] * sigma[row]).powi(2);
+    evidence.rows_below(joint, bands).map(square).sum::<f64>() / evidence.samples()
 }
 
 /// A candidate tried in a state.

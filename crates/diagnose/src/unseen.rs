@@ -1,6 +1,7 @@
 //! Models on runs that they were not fitted to.
 
 use super::evidence::{Evidence, Trial};
+use super::fit::group;
 use super::moments::Columns;
 use super::outcome::Fitted;
 use super::state::{State, mean_square};
@@ -49,6 +50,21 @@ impl<'a> Unseen<'a> {
     /// Residual of a joint, divided by the noise there.
     pub fn residual(&self, joint: usize, theta: &DVector<f64>) -> DVector<f64> {
         &self.columns.r[joint] - self.columns.m[joint].columns(0, theta.len()) * theta
+    }
+
+    /// Fall of the squared error of all joints from the parameters `before` to `after`, in units of the noise: of the over-dispersion `phi` where
+    /// these runs repeat, of the lesser error itself where they do not.
+    pub fn gain(&self, phi: &[f64], before: &DVector<f64>, after: &DVector<f64>) -> f64 {
+        let fall = |joint: usize| {
+            let [before, after] = [before, after].map(|theta| self.residual(joint, theta).norm_squared());
+            let phi = &phi[group(joint, 0)..group(joint + 1, 0)];
+            let scale = match self.evidence.repeats() {
+                true => phi.iter().sum::<f64>() / phi.len() as f64,
+                false => before.min(after) / self.evidence.per_joint() as f64,
+            };
+            (before - after) / scale.max(f64::MIN_POSITIVE)
+        };
+        (0..self.evidence.joints()).map(fall).sum()
     }
 
     /// Mean square of the torque that errors of the parameters with this covariance cause in a joint \[Nm2\].

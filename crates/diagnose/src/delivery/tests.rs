@@ -67,7 +67,7 @@ impl<'r> Case<'r> {
             let mut found = Vec::new();
             for (spec, span, score) in effects {
                 state = state.with(&search.problem, item(spec, *span));
-                let relevance = Relevance { rms: vec![], share: vec![], joint: spec.site.joints()[0] };
+                let relevance = Relevance { joint: spec.site.joints()[0], ..Relevance::default() };
                 let (folds, rivals) = (FoldTest::default(), vec![]);
                 found.push(Found {
                     score: *score,
@@ -301,18 +301,18 @@ fn an_effect_explains_half_of_what_the_plain_model_lacks_or_the_plain_model_lack
             let why = withheld.remove(0);
             let columns = structure().columns().len() + usize::from(why.is_none());
             assert_eq!(after.structure.columns().len(), columns);
-            why.map(|own| (own.why, own.refuted))
+            why
         };
         let explain =
             |share| format!("on unseen runs the effects explain {share} % of what the plain model lacks in joint 2");
         assert_eq!(delivered(9.0, 0.5), None);
-        assert_eq!(delivered(9.0, 0.49), Some((explain(49), false)));
+        assert_eq!(delivered(9.0, 0.49), Some(explain(49)));
         // 1.5 times the noise, squared.
         assert_eq!(delivered(2.24, 0.02), None);
-        assert_eq!(delivered(2.26, 0.02), Some((explain(2), false)));
+        assert_eq!(delivered(2.26, 0.02), Some(explain(2)));
         let add = "on unseen runs the effects add to what the plain model lacks in joint 2";
-        assert_eq!(delivered(2.24, -0.01), Some((add.into(), true)));
-        assert_eq!(delivered(9.0, -0.01), Some((add.into(), true)));
+        assert_eq!(delivered(2.24, -0.01), Some(add.into()));
+        assert_eq!(delivered(9.0, -0.01), Some(add.into()));
     });
 }
 
@@ -324,10 +324,7 @@ fn an_effect_that_adds_to_the_errors_of_unseen_runs_once_it_is_identified_is_wit
         // The fit of the selection is said to explain all of a lack of three times the noise: the identified model adds 2 Nm.
         let (after, withheld) = delivery.of(selected, &[None, Some(9.0)], &[None, Some(1.0)], &[true]).unwrap();
         let add = "on unseen runs the effects add to what the plain model lacks in joint 2";
-        assert_eq!(
-            (after.structure.columns().len(), withheld),
-            (structure().columns().len(), vec![Some(Withheld { why: add.into(), refuted: true })])
-        );
+        assert_eq!((after.structure.columns().len(), withheld), (structure().columns().len(), vec![Some(add.into())]));
     });
 }
 
@@ -341,11 +338,11 @@ fn of_two_effects_the_one_that_explains_too_little_is_withheld_and_the_other_is_
         let explain = format!("on unseen runs the effects explain 49 % of {lack}");
         let add = format!("on unseen runs the effects add to {lack}");
         // By the fit of the selection, or by the model that is to be delivered.
-        for (explained, why, refuted) in [(0.49, explain, false), (1.0, add, true)] {
+        for (explained, why) in [(0.49, explain), (1.0, add)] {
             let lacks = [Some(9.0), Some(1e4)];
             let (after, withheld) =
                 delivery.of(selected, &lacks, &[Some(explained), Some(1.0)], &[true, true]).unwrap();
-            assert_eq!(withheld, [Some(Withheld { why, refuted }), None]);
+            assert_eq!(withheld, [Some(why), None]);
             assert_eq!(after.structure.columns().len(), structure().columns().len() + 1);
         }
     });

@@ -51,14 +51,13 @@ pub struct Learned {
 }
 
 impl Learning<'_> {
-    /// Learned terms for the joints that were screened, on top of the delivered model `named`. None for a joint of which an effect was found and
-    /// withheld (`refused`, from 0): it would take the effect's place.
+    /// Learned terms for the joints that were screened, on top of the delivered model `named`.
     ///
     /// # Errors
     /// As [`plumbline_identify::solve::identify_with`].
-    pub fn of(&self, named: &Fitted, screened: &[Residual], refused: &[usize]) -> Result<Learned, EstimateError> {
+    pub fn of(&self, named: &Fitted, screened: &[Residual]) -> Result<Learned, EstimateError> {
         let mut learned = Learned { model: named.clone(), terms: Vec::new(), curves: Vec::new(), maps: Vec::new() };
-        let wanted = |one: &&Residual| one.best_servable() >= MIN_DEPENDENT_R2 && !refused.contains(&one.joint);
+        let wanted = |one: &&Residual| one.best_servable() >= MIN_DEPENDENT_R2;
         let screened: Vec<&Residual> = screened.iter().filter(wanted).collect();
         if screened.is_empty() {
             return Ok(learned);

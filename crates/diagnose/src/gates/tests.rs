@@ -3,6 +3,7 @@
 use super::*;
 use crate::fit::Prior;
 use crate::span::Span;
+use crate::state::mean_square;
 use crate::synthetic::{At, FLOOR, Recorded, once, once_with_effect, recorded, scaled, with_effect_in_noise};
 use crate::{Search, Settings};
 use nalgebra::DMatrix;
@@ -217,6 +218,29 @@ fn with_a_prior_only_the_torque_of_the_candidate_itself_counts() {
         let gain: f64 =
             weighted.iter().map(|[without, with]| evidence.per_joint() as f64 * (without / with).ln()).sum();
         assert!((tested.evidence / gain - 1.0).abs() < 1e-6, "{tested:?} {gain}");
+    });
+}
+
+#[test]
+fn a_displacement_within_a_step_of_the_encoder_is_not_shown() {
+    let mut coarse = recorded(2, 84, |_| [0.0; 2]);
+    for experiment in &mut coarse.experiments {
+        experiment.resolution = vec![0.0, 1e-3];
+    }
+    coarse.search(&[family("presliding").unwrap(), &spring::FAMILY], &Settings::default(), |search, _| {
+        let shown = |item: &Candidate, value: f64| {
+            let mut item = item.clone();
+            item.spec.settings.iter_mut().for_each(|setting| *setting = value);
+            shows(search.problem.evidence, &item)
+        };
+        let of = |family: &str, joint: usize| {
+            let mut library = search.library.iter().filter(|item| item.spec.family == family);
+            library.find(|item| item.joints() == [joint] && !item.spec.settings.is_empty()).unwrap()
+        };
+        assert!(!shown(of("presliding", 1), 0.9e-3) && shown(of("presliding", 1), 1.1e-3));
+        assert!(shown(of("presliding", 0), 1e-5), "noise hides the steps of joint 1");
+        // Where a spring begins to pull is a position.
+        assert!(shown(of("spring", 1), 1e-5));
     });
 }
 

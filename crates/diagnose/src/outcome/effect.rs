@@ -65,9 +65,6 @@ pub struct Effect {
     /// Why the delivered model has not.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub withheld: Option<String>,
-    /// Whether physics or unseen runs contradict it.
-    #[serde(skip)]
-    pub refuted: bool,
     /// Name of its form; empty where the effect has one.
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub form: String,

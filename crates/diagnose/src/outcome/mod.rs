@@ -121,7 +121,7 @@ pub struct Diagnosis {
     pub confirmation: Option<Confirmation>,
     /// Effects that were found, the strongest evidence first.
     pub effects: Vec<Effect>,
-    /// Effects that the selection found and physics or unseen runs contradict; in no model.
+    /// Effects that the selection found and that are withheld: physics or unseen runs contradict them, or unseen runs show too little of them.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub hints: Vec<Effect>,
     /// Errors of the model without them on runs that took no part in anything.

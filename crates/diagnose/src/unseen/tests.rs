@@ -1,7 +1,8 @@
 //! What a model lacks on unseen runs, row by row on the two-joint arm.
 
 use super::*;
-use crate::synthetic::{FLOOR, Recorded, recorded, truth};
+use crate::evidence::BAND_EDGES_HZ;
+use crate::synthetic::{At, FLOOR, Recorded, once, recorded, truth};
 use plumbline_identify::solve::identify;
 
 /// The true model on runs, with their evidence and columns.
@@ -46,4 +47,35 @@ fn a_lack_is_the_power_above_that_of_the_noise() {
         let counts = |lack: f64| unseen.explained(&[Some(lack), None], theta)[0].is_some();
         assert!(counts(0.5626) && !counts(0.5625) && !counts(0.5) && !counts(0.0));
     });
+}
+
+#[test]
+fn a_gain_is_in_units_of_the_noise_also_where_that_is_unknown() {
+    // Joint 2 lacks an offset of 0.02 Nm of its own, and joint 1 has a hundred times the residual.
+    let tone = |at: &At| [2.0 * (6.0 * at.t + 1.3 * at.trajectory as f64).sin(), 0.02];
+    for recorded in [recorded(4, 93, tone), once(20.0, 93, tone)] {
+        of_truth(&recorded, |unseen, columns, theta| {
+            let phi = vec![1.0; 2 * BAND_EDGES_HZ.len()];
+            let joint_2 = unseen.residual(1, theta);
+            // A parameter that moves both: joint 2's error falls to nearly nothing, joint 1's rises by a share that is less than one.
+            let mut other = theta.clone();
+            let which = (0..theta.len()).max_by(|&a, &b| {
+                let fit =
+                    |k: usize| columns.m[1].column(k).dot(&joint_2).powi(2) / columns.m[1].column(k).norm_squared();
+                fit(a).total_cmp(&fit(b))
+            });
+            let column = columns.m[1].column(which.unwrap());
+            other[which.unwrap()] += column.dot(&joint_2) / column.norm_squared();
+            let squares = |joint: usize| [theta, &other].map(|theta| unseen.residual(joint, theta).norm_squared());
+            let rows = unseen.evidence.per_joint() as f64;
+            let fall = |joint: usize| {
+                let [before, after] = squares(joint);
+                let scale = if unseen.evidence.repeats() { 1.0 } else { before.min(after) / rows };
+                (before - after) / scale
+            };
+            let found = unseen.gain(&phi, theta, &other);
+            assert!((found - fall(0) - fall(1)).abs() < 1e-9 * (fall(0).abs() + fall(1).abs()), "{found}");
+            assert_eq!(unseen.gain(&phi, theta, theta), 0.0);
+        });
+    }
 }

@@ -214,6 +214,11 @@ pub struct Setting {
 }
 
 impl Setting {
+    /// Whether it is a displacement, which may be as small as you like, and not a position of the joint.
+    pub fn is_displacement(&self) -> bool {
+        self.unit == "rad" && matches!(self.scale, Scale::Logarithmic)
+    }
+
     /// Position between `low` (0) and `high` (1) as a value.
     pub fn at(&self, share: f64) -> f64 {
         match self.scale {

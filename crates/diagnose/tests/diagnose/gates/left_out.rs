@@ -28,12 +28,20 @@ fn rows(
     found
 }
 
+/// Parameters that the chosen folds determine, and their least weighed squared error.
+fn least(search: &Search, state: &State, phi: &[f64], chosen: impl Fn(usize) -> bool) -> (DVector<f64>, f64) {
+    let rows = rows(search, state, phi, chosen);
+    let a: Vec<RowDVector<f64>> = rows.iter().map(|(_, weight, _, columns, _)| columns * weight.sqrt()).collect();
+    let b = DVector::from_iterator(rows.len(), rows.iter().map(|(_, weight, _, _, torque)| torque * weight.sqrt()));
+    let a = DMatrix::from_rows(&a);
+    let theta = a.clone().svd(true, true).solve(&b, 1e-12).unwrap();
+    let error = (b - a * &theta).norm_squared();
+    (theta, error)
+}
+
 /// Squared errors of each joint in `fold` under parameters of the other folds: weighed, as they are, and in Nm.
 fn errors(search: &Search, state: &State, phi: &[f64], fold: usize) -> Vec<[f64; 3]> {
-    let others = rows(search, state, phi, |other| other != fold);
-    let a: Vec<RowDVector<f64>> = others.iter().map(|(_, weight, _, columns, _)| columns * weight.sqrt()).collect();
-    let b: Vec<f64> = others.iter().map(|(_, weight, _, _, torque)| torque * weight.sqrt()).collect();
-    let theta = DMatrix::from_rows(&a).svd(true, true).solve(&DVector::from_vec(b), 1e-12).unwrap();
+    let (theta, _) = least(search, state, phi, |other| other != fold);
     let mut errors = vec![[0.0; 3]; search.problem.evidence.joints()];
     for (joint, weight, sigma, columns, torque) in rows(search, state, phi, |other| other == fold) {
         let error = torque - (columns * &theta)[0];
@@ -67,11 +75,30 @@ fn said(recorded: &Recorded, repeats: bool) {
         let (without, with) = (sums(search, base, &tried.fit.phi), sums(search, &after, &tried.fit.phi));
         // Every fold is asked, so all of them are in the sums.
         assert_eq!((evidence.repeats(), found.informative), (repeats, evidence.folds().len()));
-        let gains = without.iter().zip(&with).map(|(without, with)| (without[0] / with[0]).ln());
-        let gain = evidence.per_joint() as f64 * gains.sum::<f64>();
-        assert!(close(found.evidence, gain), "{found:?}, by rows {gain}");
-        let shares: Vec<f64> = without.iter().zip(&with).map(|(without, with)| 1.0 - with[1] / without[1]).collect();
-        assert!(close(found.share, shares[1]) && close(found.worst, shares[0].min(shares[1])), "{found:?}, {shares:?}");
+        if repeats {
+            let phi = &tried.fit.phi;
+            let surprise = |state: &State, fold: usize| {
+                least(search, state, phi, |_| true).1 - least(search, state, phi, |other| other != fold).1
+            };
+            for state in [base, &after] {
+                let found = search.problem.surprise(&state.moments, phi);
+                for (fold, found) in found.into_iter().enumerate() {
+                    let expected = surprise(state, fold);
+                    // A difference of sums of squares of all torques.
+                    assert!((found - expected).abs() <= 1e-4 * expected.abs(), "{found}, by rows {expected}");
+                }
+            }
+            let better = |fold: &usize| surprise(&after, *fold) < surprise(base, *fold);
+            assert_eq!(found.positive, (0..evidence.folds().len()).filter(better).count());
+        } else {
+            let gains = without.iter().zip(&with).map(|(without, with)| (without[0] / with[0]).ln());
+            let gain = evidence.per_joint() as f64 * gains.sum::<f64>();
+            assert!(close(found.evidence, gain), "{found:?}, by rows {gain}");
+            let shares: Vec<f64> =
+                without.iter().zip(&with).map(|(without, with)| 1.0 - with[1] / without[1]).collect();
+            assert!(close(found.share, shares[1]), "{found:?}, {shares:?}");
+            assert!(close(found.worst, shares[0].min(shares[1])), "{found:?}, {shares:?}");
+        }
 
         let found = plumbline_diagnose::left_out(&search.problem, base, &after);
         let expected = [base, &after].map(|state| sums(search, state, &base.fit.phi));

@@ -1,7 +1,7 @@
 //! What a candidate has to show before it is taken in.
 
 use super::synthetic::{
-    At, FLOOR, ROWS, Recorded, once, once_with_effect, recorded, scaled, with_effect, with_effect_in_noise,
+    At, FLOOR, PERIODS, ROWS, Recorded, once, once_with_effect, recorded, scaled, with_effect, with_effect_in_noise,
 };
 use plumbline_diagnose::{Candidate, FoldTest, Relevance, Scored, Search, Selected, Settings, Span, State};
 use plumbline_model::term::effect::{Family, OperatingPoint, Site, Spec, family};
@@ -120,10 +120,7 @@ fn an_effect_of_half_of_the_trajectories_is_not_taken() {
         let scored = offset_2(search, base);
         let relevance = plumbline_diagnose::relevance(search.problem.evidence, base, &scored.tried, &scored.item);
         assert!(scored.score > 5.0, "{}", scored.score);
-        assert!(
-            plumbline_diagnose::matters(search.problem.evidence, &relevance, &scored.item, &settings),
-            "{relevance:?}"
-        );
+        assert!(plumbline_diagnose::matters(search.problem.evidence, &relevance, &settings), "{relevance:?}");
         let folds = plumbline_diagnose::folds(&search.problem, base, &scored.tried);
         assert_eq!((folds.informative, folds.confirm()), (8, Some(false)), "{folds:?}");
         assert!(search.forward(base.clone(), &[], &|_| {}).state.items.is_empty());
@@ -139,7 +136,6 @@ fn one_of_two_trajectories_is_asked_about_the_other_and_a_single_one_is_not() {
         recorded(count, 7, constant(6.0 * FLOOR)).search(&OFFSET, &Settings::default(), |search, base| {
             let folds = plumbline_diagnose::folds(&search.problem, base, &offset_2(search, base).tried);
             assert_eq!((folds.informative, folds.confirm()), (informative, confirmed), "{folds:?}");
-            assert_eq!(folds.evidence > 0.0, count == 2);
         });
     }
 }
@@ -161,24 +157,33 @@ fn an_effect_counts_from_its_share_of_the_noise_and_of_what_is_unmodelled_on() {
     let settings = Settings::default();
     recorded(2, 6, |_| [0.0; 2]).search(&OFFSET, &settings, |search, _| {
         let evidence = search.problem.evidence;
-        let item = search.library.iter().find(|item| item.joints() == [1]).unwrap();
         let floor = evidence.floor(1).unwrap();
         let matters = |rms: f64, share: f64, settings: &Settings| {
-            // What it does to a joint that it does not touch is nothing.
-            let found = Relevance { rms: vec![1e3, rms], share: vec![1.0, share], joint: 1 };
-            plumbline_diagnose::matters(evidence, &found, item, settings)
+            let found = Relevance { rms: vec![1e3, rms], share: vec![0.1, share], joint: 1, low: vec![(0.0, 0.0); 2] };
+            plumbline_diagnose::matters(evidence, &found, settings)
         };
         assert!(matters(0.71 * floor, 0.16, &settings));
         assert!(!matters(0.69 * floor, 0.16, &settings));
+        // Or below 4 Hz of the noise of one period.
+        let low = |rms: f64, share: f64| {
+            let low = vec![(1e3, 0.1), (rms, share)];
+            let found = Relevance { rms: vec![0.0; 2], share: vec![0.0; 2], joint: 1, low };
+            plumbline_diagnose::matters(evidence, &found, &settings)
+        };
+        let floor_of_a_period = evidence.floor_of_a_period_below(1, 4).unwrap();
+        let floor_of_mean = evidence.floor_below(1, 4).unwrap();
+        assert!((floor_of_a_period / floor_of_mean - (PERIODS as f64).sqrt()).abs() < 1e-9);
+        assert!(floor_of_mean < 0.8 * floor, "of white noise a half is below a quarter of the band");
+        assert!(low(0.71 * floor_of_a_period, 0.16));
+        assert!(!low(0.69 * floor_of_a_period, 0.16) && !low(0.71 * floor_of_a_period, 0.14));
         assert!(!matters(0.71 * floor, 0.14, &settings));
         let own = Settings { threshold: Some(0.5), ..settings.clone() };
         assert!(matters(0.51, 0.16, &own) && !matters(0.49, 0.16, &own));
     });
     once(20.0, 6, |_| [0.0; 2]).search(&OFFSET, &settings, |search, _| {
-        let item = search.library.iter().find(|item| item.joints() == [1]).unwrap();
         let matters = |share: f64| {
-            let found = Relevance { rms: vec![0.0, 1e-6], share: vec![0.0, share], joint: 1 };
-            plumbline_diagnose::matters(search.problem.evidence, &found, item, &settings)
+            let found = Relevance { rms: vec![0.0, 1e-6], share: vec![0.0, share], joint: 1, low: vec![(0.0, 0.0); 2] };
+            plumbline_diagnose::matters(search.problem.evidence, &found, &settings)
         };
         assert!(matters(0.031) && !matters(0.029), "without repeats 3 % of the whole residual");
     });
@@ -205,7 +210,7 @@ fn relevance_is_what_the_fit_takes_away() {
 #[test]
 fn what_the_data_shows_but_nobody_needs_is_not_taken() {
     let settings = Settings::default();
-    let little = recorded(8, 8, constant(0.5 * FLOOR));
+    let little = recorded(8, 8, constant(0.3 * FLOOR));
     little.search(&OFFSET, &settings, |search, base| {
         let scored = offset_2(search, base);
         let folds = plumbline_diagnose::folds(&search.problem, base, &scored.tried);
@@ -213,7 +218,7 @@ fn what_the_data_shows_but_nobody_needs_is_not_taken() {
         assert!(search.forward(base.clone(), &[], &|_| {}).state.items.is_empty());
     });
     // More than the noise, but next to nothing beside what is left over.
-    let tone = |at: &At| 12.0 * FLOOR * (TAU * 5.0 * at.t).sin();
+    let tone = |at: &At| 12.0 * FLOOR * (TAU * 3.0 * at.t).sin();
     let beside = recorded(8, 8, |at| [0.0, 1.5 * FLOOR + tone(at)]);
     beside.search(&OFFSET, &settings, |search, base| {
         let scored = offset_2(search, base);
@@ -434,8 +439,9 @@ fn an_effect_of_several_joints_belongs_to_the_one_whose_noise_it_exceeds_most() 
                 assert!(found.rms[larger] > 1.2 * found.rms[1 - larger]);
                 assert_eq!(found.joint, larger, "{found:?}");
                 // It matters where it matters in one of its joints.
-                let in_one = Relevance { rms: vec![0.0, 1.0], share: vec![0.0, 1.0], joint: 1 };
-                assert!(plumbline_diagnose::matters(search.problem.evidence, &in_one, &item, &Settings::default()));
+                let in_one =
+                    Relevance { rms: vec![0.0, 1.0], share: vec![0.0, 1.0], joint: 1, low: vec![(0.0, 0.0); 2] };
+                assert!(plumbline_diagnose::matters(search.problem.evidence, &in_one, &Settings::default()));
             },
         );
     }
@@ -490,6 +496,5 @@ fn the_energy_of_an_effect_is_divided_among_the_folds_that_show_it() {
         let scored = offset_2(search, base);
         let folds = plumbline_diagnose::folds(&search.problem, base, &scored.tried);
         assert_eq!((folds.positive, folds.informative), (4, 4));
-        assert!(folds.share > 0.5 && folds.worst > -0.2, "{folds:?}");
     });
 }
