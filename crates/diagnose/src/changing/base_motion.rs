@@ -142,18 +142,19 @@ fn strongest(record: &Record, gravity: &[DMatrix<f64>], rest: &DMatrix<f64>) -> 
             (bin, part(b.map(|value| value.re)) + part(b.map(|value| value.im)))
         })
         .collect();
+    // What repeats in every period is no deviation: nothing is left at the harmonics of the motion, and they tell nothing of the noise.
+    let own = 1.0 / (record.samples as f64 * record.dt);
+    let harmonic =
+        |frequency: f64| (frequency / own - (frequency / own).round()).abs() * own < 0.5 / (length as f64 * record.dt);
+    let power: Vec<(usize, f64)> = power.into_iter().filter(|(bin, _)| !harmonic(spectral.frequency(*bin))).collect();
     let near = (NEIGHBOURS_HZ * length as f64 * record.dt).round().max(8.0) as usize;
     let ratio = |k: usize| {
         let around = k.saturating_sub(near)..(k + near + 1).min(power.len());
         let mut others: Vec<f64> = around.map(|other| power[other].1).collect();
         power[k].1 / median(&mut others).max(f64::MIN_POSITIVE)
     };
-    let own = 1.0 / (record.samples as f64 * record.dt);
-    let harmonic =
-        |frequency: f64| (frequency / own - (frequency / own).round()).abs() * own < 0.5 / (length as f64 * record.dt);
     let lines = (0..power.len()).map(|k| (k, ratio(k)));
-    let strong = lines.filter(|&(k, ratio)| ratio > MIN_LINE_POWER_RATIO && !harmonic(spectral.frequency(power[k].0)));
-    let mut strong: Vec<(usize, f64)> = strong.collect();
+    let mut strong: Vec<(usize, f64)> = lines.filter(|(_, ratio)| *ratio > MIN_LINE_POWER_RATIO).collect();
     strong.sort_by(|a, b| power[b.0].1.total_cmp(&power[a.0].1));
     strong.into_iter().take(MAX_LINES).find_map(|(k, ratio)| {
         let line = Line { record, gravity, rest, noise: &noise };

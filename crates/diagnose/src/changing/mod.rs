@@ -33,7 +33,7 @@ use record::Record;
 /// Time before and after an event that is left out too \[s\].
 const EVENT_MARGIN_S: f64 = 0.2;
 
-/// Smallest number of periods in which events and lines are sought. Two have no majority, and half of their frequencies are harmonics, where deviations vanish. The median of three is
+/// Smallest number of periods in which events are sought. Two have no majority. The median of three is
 /// one of them, so that the scale of deviations is too small and noise is flagged as events.
 pub const LEAST_PERIODS: usize = 4;
 
@@ -131,16 +131,16 @@ pub fn changing(operating_point: &OperatingPoint, trials: &[Trial]) -> Changing 
     let torques: Vec<DMatrix<f64>> = torques.collect();
     let mut masks = Vec::new();
     for (record, course) in records.iter().zip(&torques) {
-        if record.periods() < LEAST_PERIODS {
-            masks.push(vec![false; record.tau.nrows()]);
-            continue;
-        }
         let mut rest = &record.tau - course;
         let rows = rest.nrows();
         rest.as_mut_slice().chunks_mut(rows).for_each(|column| record.centre(column));
         let lines = base_motion::base_motions(record, &operating_point.load, &rest);
         let known = course + base_motion::torques(record, &operating_point.load, &lines);
         found.base_motions.extend(lines);
+        if record.periods() < LEAST_PERIODS {
+            masks.push(vec![false; record.tau.nrows()]);
+            continue;
+        }
 
         let x = transient::robust(record, Some(&known), false);
         let scale = transient::scales(&x);

@@ -240,18 +240,22 @@ fn of_base(stage: &Stage, q: &[f64], a: Vector3<f64>) -> Vec<f64> {
 fn a_base_that_shakes_is_found_with_frequency_direction_and_amplitude() {
     let stage = stage();
     let direction = Vector3::new(0.6, 0.0, 0.8);
-    let runs = recorded(1, 4, |at, tau| {
-        let a = direction * 0.05 * (TAU * 7.33 * at.t + 0.4).sin();
-        of_base(stage, &at.q, a).iter().zip(tau).for_each(|(own, tau)| *tau += own);
-    });
-    let found = found(&runs);
-    assert_eq!(found.base_motions.len(), 1, "{:?}", found.base_motions);
-    let line = &found.base_motions[0];
-    assert!((line.frequency - 7.33).abs() < 0.002, "{line:?}");
-    assert!((line.amplitude - 0.05).abs() < 3.5 * line.std && line.std < 0.005, "{line:?}");
-    assert!(line.direction.dot(&direction).abs() > 0.98, "{line:?}");
-    assert!(line.explained > 0.7 && line.ratio > 12.0, "{line:?}");
-    assert!(found.drifts.is_empty() && found.leave_out.is_empty(), "{found:?}");
+    for periods in [PERIODS, 2] {
+        let runs = recorded_periods(1, periods, 4, |at, tau| {
+            let a = direction * 0.05 * (TAU * 7.33 * at.t + 0.4).sin();
+            of_base(stage, &at.q, a).iter().zip(tau).for_each(|(own, tau)| *tau += own);
+        });
+        let found = found(&runs);
+        assert_eq!(found.base_motions.len(), 1, "{:?}", found.base_motions);
+        let line = &found.base_motions[0];
+        // Of half the deviation of a mean, in two periods; the frequency's error falls with the length to the power of 1.5.
+        let fewer = (PERIODS / periods) as f64;
+        assert!((line.frequency - 7.33).abs() < 0.002 * fewer.powf(1.5), "{line:?}");
+        assert!((line.amplitude - 0.05).abs() < 3.5 * line.std && line.std < 0.005 * (2.0 * fewer).sqrt(), "{line:?}");
+        assert!(line.direction.dot(&direction).abs() > 0.98 - 0.02 * fewer, "{line:?}");
+        assert!(line.explained > 0.7 && line.ratio > 12.0, "{line:?}");
+        assert!(found.drifts.is_empty() && found.leave_out.is_empty(), "{found:?}");
+    }
     // A motor that hums in one joint is no base motion.
     let hum = recorded(1, 5, |at, tau| tau[2] += 0.3 * (TAU * 7.33 * at.t).sin());
     let found = self::found(&hum);
