@@ -122,7 +122,10 @@ impl Results {
             Err(failure) if self.last_unplanned.is_some() => {
                 let dir = self.out.join("dataset");
                 self.dataset().write(&dir).map_err(Failure::job)?;
-                tracing::error!("no model is identified from what was recorded; the recording is kept in {}", dir.display());
+                tracing::error!(
+                    "no model is identified from what was recorded; the recording is kept in {}",
+                    dir.display()
+                );
                 return Err(failure);
             }
             identified => identified?,

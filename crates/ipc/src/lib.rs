@@ -56,8 +56,8 @@ mod stream;
 pub use arm_lock::{ArmLock, ArmLockError};
 pub use client::Client;
 pub use command::{
-    Follower, Gravity, GuestStatus, HeldModel, MAX_REQUEST_BYTES, MotionGravity, Mounting, Progress, Proposal, Request, Response,
-    Served, Session, Status,
+    Follower, Gravity, GuestStatus, HeldModel, MAX_REQUEST_BYTES, MotionGravity, Mounting, Progress, Proposal, Request,
+    Response, Served, Session, Status,
 };
 pub use error::IpcError;
 pub use feed_forward::{FeedForwardClient, FeedForwardSettings, Latest, Presence};

@@ -45,8 +45,11 @@ struct Place {
 
 impl Runs {
     fn of(programme: &Programme) -> Runs {
-        let run =
-            |own: &crate::setup::programme::Motion| Run { number: own.number, name: own.name.clone(), ticks: own.ticks() as u64 };
+        let run = |own: &crate::setup::programme::Motion| Run {
+            number: own.number,
+            name: own.name.clone(),
+            ticks: own.ticks() as u64,
+        };
         Runs { left: programme.motions().map(run).collect(), tick: 0 }
     }
 
@@ -101,7 +104,9 @@ impl Daemon {
             model: 0,
             records: Vec::new(),
         };
-        tracing::info!("the daemon listens to robot `{id}` and commands nothing; it records after `plumbline command start`");
+        tracing::info!(
+            "the daemon listens to robot `{id}` and commands nothing; it records after `plumbline command start`"
+        );
         self.service.ready("listens; records after `plumbline command start`");
         while !self.state.must_quit() {
             self.answer_requests(None);
