@@ -2,6 +2,7 @@
 
 use crate::analysis::collector::Recorded;
 use crate::analysis::diagnosis::{self, Diagnosed, Question};
+use crate::analysis::excitation::Excitation;
 use crate::analysis::next;
 use crate::analysis::pipeline::{self, Identified, Judged};
 use crate::config::job::{Diagnosis, Job};
@@ -20,13 +21,10 @@ use plumbline_core::threads;
 use plumbline_diagnose::errors::Of;
 use plumbline_excite::{Fourier, PlanUsage, Search};
 use plumbline_identify::Settings;
-use plumbline_identify::solve::{Identification, Outcome};
+use plumbline_identify::solve::Outcome;
 use plumbline_ipc::{Status, StreamCounters};
 use plumbline_model::{Mounting, Robot};
 use std::path::{Path, PathBuf};
-
-/// Condition number (column-equilibrated) of a motion above which a planned one is recommended.
-const POOR_CONDITION: f64 = 200.0;
 
 /// Terms of the paper's model, besides the rigid body.
 const TERMS: [&str; 1] = ["friction"];
@@ -130,6 +128,11 @@ impl Results {
             }
             identified => identified?,
         };
+        if self.last_unplanned.is_some() {
+            let excitation = self.excitation(&identified);
+            let words = excitation.words(&self.plan_command());
+            if excitation.is_poor() { tracing::warn!("{words}") } else { tracing::info!("{words}") }
+        }
         let file = self.model_file(&identified, Vec::new(), None);
         let text = file.to_toml();
         crate::atomic::write_result(&self.out.join("model.toml"), text.as_bytes())?;
@@ -205,7 +208,9 @@ impl Results {
         match &status.guest {
             Some(guest) => {
                 report.guest = Some(guest.counts);
-                report.notes.push(self.excitation_note(&identified.identification));
+                let excitation = self.excitation(&plain);
+                report.notes.push(excitation.words(&self.plan_command()));
+                report.identifiability.weakly_determined = excitation.weak;
             }
             None => report.control_loop = Some(LoopReport::new(status, !self.job.backend.is_fast())),
         }
@@ -219,26 +224,23 @@ impl Results {
         report.write(&self.out, &figures).map_err(Failure::job)
     }
 
-    /// What a motion that was not planned excites, in one sentence, and what gives what is missing.
-    fn excitation_note(&self, of: &Identification) -> String {
-        let (all, missing) = (of.columns.len(), of.undetermined.len());
-        let condition = of.conditions.equilibrated;
-        let mounting = self.job.mounting.to_string();
-        let plan = format!(
-            "`plumbline plan --robot {} --mounting \"{mounting}\" --out plan.toml` plans a motion that determines all of them",
-            self.job.robot
-        );
-        if missing == 0 {
-            let words = format!(
-                "the motion was not planned; it determines all {all} parameters, with a condition number of {condition:.1} (column-equilibrated)"
-            );
-            return if condition > POOR_CONDITION { format!("{words}, which is poor: {plan}") } else { words };
-        }
-        let names: Vec<&str> = of.undetermined.iter().map(|one| one.name.as_str()).collect();
+    /// What a motion that was not planned excites.
+    fn excitation(&self, of: &Identified) -> Excitation {
+        let gravity = self.job.mounting.gravity();
+        Excitation::of(&of.identification, of.model.structure(), &self.robot.limits, gravity)
+    }
+
+    /// The command that plans a motion for the job's arm.
+    fn plan_command(&self) -> String {
+        let Mounting { rho, phi } = self.job.mounting;
+        let name = self.job.mounting.to_string();
+        let mounting = match name.contains(' ') {
+            true => format!("\"{:.3} deg,{:.3} deg\"", rho.to_degrees(), phi.to_degrees()),
+            false => name,
+        };
         format!(
-            "the motion was not planned, and {missing} of {all} parameters are not determined by it ({}): the model holds along motions like it \
-             only. {plan}",
-            names.join(", ")
+            "`plumbline plan --robot {} --mounting {mounting} --out plan.toml` plans one that determines all",
+            self.job.robot
         )
     }
 
@@ -434,6 +436,7 @@ pub fn report_of(identified: &Identified, mounting: Mounting, provenance: &Prove
         noise_floor: identification.rms.noise_floor.clone().unwrap_or_default(),
         identifiability: Identifiability {
             not_identifiable: identification.undetermined.iter().map(|one| one.name.clone()).collect(),
+            weakly_determined: Vec::new(),
             untrusted_runs: Vec::new(),
         },
         conditions: crate::analysis::conditions_facts(&identification.conditions),

@@ -271,6 +271,9 @@ impl Validation {
 pub struct Identifiability {
     /// Parameters that this data can't determine.
     pub not_identifiable: Vec<String>,
+    /// Parameters that a motion that was not planned determines weakly: see [`crate::analysis::excitation`].
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub weakly_determined: Vec<String>,
     pub untrusted_runs: Vec<String>,
 }
 

@@ -123,8 +123,8 @@ impl GuestReceiver {
         Ok(GuestReceiver { epoch: 0, next: 0, counts: GuestCounts::default(), subscriber, service, node })
     }
 
-    /// All that has arrived since the last call. A publisher's numbers start at 0: what it sent before this receiver opened is reported as
-    /// lost, too.
+    /// All that has arrived since the last call. Numbers are counted from the first sample that this receiver gets; those of a publisher that
+    /// starts later, from 0.
     ///
     /// # Errors
     /// [`IpcError::Transport`] when shared memory failed.
@@ -148,7 +148,9 @@ impl GuestReceiver {
             return;
         }
         if !is_same {
-            (self.epoch, self.next) = (sample.epoch, 0);
+            // What was sent before this receiver opened is no loss.
+            let first = if self.epoch == 0 { sample.seq } else { 0 };
+            (self.epoch, self.next) = (sample.epoch, first);
             self.counts.publishers += 1;
             deliveries.push(GuestDelivery::Started { epoch: sample.epoch });
         }
