@@ -22,7 +22,7 @@ pub struct Recorded {
 /// Longest gap inside a run of a motion that plumbline does not drive, in states. What is longer is no part of the regression either.
 pub const MAX_GAP: u64 = 20;
 /// Fewest samples of such a run that are kept: shorter ones are little more than the ends that the filters take.
-const MIN_SAMPLES: usize = 2000;
+pub const MIN_SAMPLES: usize = 2000;
 
 /// Collects records until a motion is complete.
 pub struct Collector {
@@ -186,12 +186,12 @@ mod tests {
             name: "identify-wall".into(),
             role: Role::Identify,
             mounting: Mounting::WALL,
-            course: Course::Planned(Planned {
+            course: Course::Planned(Box::new(Planned {
                 fourier: crate::setup::planner::motion(&plan).unwrap(),
                 plan,
                 periods: 2,
                 lead_in: 1,
-            }),
+            })),
         };
         Collector { joints: 2, motions: vec![motion], present: None, parts: 0, gap: false }
     }

@@ -137,7 +137,7 @@ fn a_made_up_backend_is_driven_recovered_and_driven_to_the_end() {
     let mounting = Mounting::UPRIGHT;
     let plan = Planner::of(job, robot, Some(&limits)).unwrap().random(&mounting, 1).unwrap();
     let (fourier, name) = (planner::motion(&plan).unwrap(), "validate-upright-1".to_string());
-    let course = Course::Planned(Planned { plan, fourier, periods: 1, lead_in: 0 });
+    let course = Course::Planned(Box::new(Planned { plan, fourier, periods: 1, lead_in: 0 }));
     let motion = Motion { number: 1, name, role: Role::Validate, mounting, course };
     let programme = Programme { stages: vec![Stage { mounting, motions: vec![motion] }] };
 

@@ -36,7 +36,7 @@ pub struct Motion {
 /// How the arm moves.
 #[derive(Clone, Debug)]
 pub enum Course {
-    Planned(Planned),
+    Planned(Box<Planned>),
     /// As the program that controls the arm wants; the motion is recorded for this long.
     Unplanned {
         /// Samples, at 1 kHz.
@@ -414,7 +414,7 @@ fn fill(
         };
         let Slot { name, role, mounting, .. } = slot;
         let fourier = crate::setup::planner::motion(&plan)?;
-        let course = Course::Planned(Planned { plan, fourier, periods, lead_in });
+        let course = Course::Planned(Box::new(Planned { plan, fourier, periods, lead_in }));
         let motion = Motion { number: index as u32 + 1, name, role, mounting, course };
         match stages.last_mut() {
             Some(stage) if stage.mounting == mounting => stage.motions.push(motion),

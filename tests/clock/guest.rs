@@ -195,7 +195,7 @@ fn a_publisher_that_is_absent_killed_or_started_again_loses_nothing() {
     let parts = counts.publishers + counts.pauses + 2;
     assert!(samples as u64 + 2000 * parts > 18_000, "{samples} samples, {counts:?}");
     let names: Vec<&str> = dataset.runs.iter().map(|run| run.data.name.as_str()).collect();
-    assert!(names.iter().any(|name| name.contains("-part-2")), "{names:?}");
+    assert!(names.iter().any(|name| name.contains("-part-")), "{names:?}");
     assert!(report.validate.is_empty(), "{names:?}");
     for words in ["nobody publishes the states of robot", "the recording ends; the arm itself is not stopped"] {
         assert!(done.err.contains(words), "no `{words}`: {}", done.output());
@@ -224,7 +224,7 @@ fn states_that_are_no_use_are_counted_by_name() {
     let other = wait_for("the other arm", || guest(&place).filter(|of| of.counts.other_joints == 10));
     assert!(other.problem.unwrap().contains("have 6 joints, the robot has 7"));
     // 500 Hz.
-    send((0..1000).map(|k| GuestMessage { stamp_ns: 500_000_000 + 2 * k * 1_000_000, ..state(168 + k) }).collect());
+    send((0..1500).map(|k| GuestMessage { stamp_ns: 500_000_000 + 2 * k * 1_000_000, ..state(168 + k) }).collect());
     let slow = wait_for("the other rate", || guest(&place).filter(|of| of.counts.other_rate > 0));
     assert!(slow.problem.unwrap().contains("every 2000 us"));
 

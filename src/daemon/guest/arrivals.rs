@@ -11,7 +11,7 @@ use plumbline_ipc::{GuestCounts, GuestMessage};
 const MAX_DELAY_NS: u64 = MAX_GAP * PERIOD_NS;
 /// Share of a delay by which the schedule follows it: a publisher's clock may be slower than this machine's.
 const FOLLOW: u64 = 64;
-/// States over which the rate is measured.
+/// States over which the rate is measured. It is another one after two such measurements in a row.
 const RATE_STATES: u64 = 500;
 /// Mean time between states of a publisher at 1 kHz \[ns\].
 const MEAN_NS: std::ops::RangeInclusive<u64> = PERIOD_NS - PERIOD_NS / 10..=PERIOD_NS + PERIOD_NS / 10;
@@ -42,6 +42,17 @@ struct Used {
     stamp_ns: u64,
 }
 
+/// Measurement of the rate.
+#[derive(Clone, Copy, Debug, Default)]
+struct Rate {
+    states: u64,
+    /// Time of these states, and the same with every pause as a short one \[ns\].
+    span_ns: u64,
+    unpaused_ns: u64,
+    /// Whether the measurement before was another rate.
+    other_before: bool,
+}
+
 /// States received so far.
 #[derive(Debug, Default)]
 pub struct Arrivals {
@@ -50,8 +61,7 @@ pub struct Arrivals {
     last: Option<Last>,
     /// The last state that was used.
     used: Option<Used>,
-    /// Time and states of the present measurement of the rate \[ns\].
-    span: (u64, u64),
+    rate: Rate,
     unusable: Option<Unusable>,
     counts: GuestCounts,
 }
@@ -64,7 +74,7 @@ impl Arrivals {
 
     /// Another publisher: its numbers start again.
     pub fn restart(&mut self) {
-        (self.last, self.span, self.unusable) = (None, (0, 0), None);
+        (self.last, self.rate, self.unusable) = (None, Rate::default(), None);
     }
 
     /// Why states are not used, if so.
@@ -126,16 +136,21 @@ impl Arrivals {
         last.is_none_or(|last| last.stamp_ns != used.stamp_ns)
     }
 
-    /// Adds the time between two states, `gap` numbers apart. Pauses count as short ones.
+    /// Adds the time between two states, `gap` numbers apart. A publisher that was paused may send what it had at once or not: the rate is another
+    /// one where neither time is that of 1 kHz.
     fn measure_rate(&mut self, interval_ns: u64, gap: u64) {
-        let (span_ns, states) = self.span;
         let longest = gap.saturating_mul(PERIOD_NS).saturating_add(MAX_DELAY_NS);
-        self.span = (span_ns.saturating_add(interval_ns.min(longest)), states.saturating_add(gap));
-        if self.span.1 >= RATE_STATES {
-            let mean_ns = self.span.0 / self.span.1;
-            self.unusable = (!MEAN_NS.contains(&mean_ns)).then_some(Unusable::Rate { mean_ns });
-            self.span = (0, 0);
+        let rate = &mut self.rate;
+        rate.states = rate.states.saturating_add(gap);
+        rate.span_ns = rate.span_ns.saturating_add(interval_ns);
+        rate.unpaused_ns = rate.unpaused_ns.saturating_add(interval_ns.min(longest));
+        if rate.states < RATE_STATES {
+            return;
         }
+        let [mean_ns, unpaused_ns] = [rate.span_ns, rate.unpaused_ns].map(|span| span / rate.states);
+        let other = ![mean_ns, unpaused_ns].iter().any(|mean| MEAN_NS.contains(mean));
+        self.unusable = (other && rate.other_before).then_some(Unusable::Rate { mean_ns: unpaused_ns });
+        self.rate = Rate { other_before: other, ..Rate::default() };
     }
 }
 
@@ -189,18 +204,18 @@ mod tests {
         assert_eq!(arrivals.unusable(), Some(Unusable::Joints { found: 6, expected: 7 }));
         assert_eq!(cycles(&mut arrivals, (1..3).map(|k| (k, 1000 * k))), [0, 1]);
         assert_eq!((arrivals.unusable(), counts(&arrivals)), (None, [0, 0, 1, 0]));
-        // 500 Hz is found after half a thousand states.
+        // 500 Hz is found after a thousand states.
         for period_us in [2000, 100] {
             let mut arrivals = Arrivals::new(7);
             let used = cycles(&mut arrivals, (0..2000).map(|k| (k, period_us * k))).len();
-            assert_eq!(used, 500, "{period_us} us");
+            assert_eq!(used, 1000, "{period_us} us");
             let mean_ns = 1000 * period_us;
             assert_eq!(arrivals.unusable(), Some(Unusable::Rate { mean_ns }));
-            assert_eq!(counts(&arrivals)[3], 1500);
+            assert_eq!(counts(&arrivals)[3], 1000);
             // At 1 kHz again, and the recording is divided.
             let end = period_us * 1999;
             let again = cycles(&mut arrivals, (0..1000).map(|k| (2000 + k, end + 1000 * (k + 1))));
-            assert!((400..=501).contains(&again.len()) && again[0] > 500 + MAX_GAP, "{}, {}", again.len(), again[0]);
+            assert!((400..=501).contains(&again.len()) && again[0] > 1000 + MAX_GAP, "{}, {}", again.len(), again[0]);
             assert_eq!(arrivals.unusable(), None);
         }
         // Jitter and a drift of 200 parts per million are 1 kHz.

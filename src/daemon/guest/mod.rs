@@ -4,7 +4,7 @@ mod arrivals;
 
 use super::Daemon;
 use super::gravity::Verdict;
-use crate::analysis::collector::MAX_GAP;
+use crate::analysis::collector::{MAX_GAP, MIN_SAMPLES};
 use crate::failure::Failure;
 use crate::process::service::Progress as ServiceProgress;
 use crate::setup::programme::Programme;
@@ -32,6 +32,8 @@ struct Runs {
     left: VecDeque<Run>,
     /// Sample of the first of them that comes next.
     tick: u64,
+    /// Sample that its part without a long gap begins with.
+    part: u64,
 }
 
 /// The place of a state in the programme.
@@ -50,12 +52,18 @@ impl Runs {
             name: own.name.clone(),
             ticks: own.ticks() as u64,
         };
-        Runs { left: programme.motions().map(run).collect(), tick: 0 }
+        Runs { left: programme.motions().map(run).collect(), tick: 0, part: 0 }
     }
 
-    /// The place of a state `gap` cycles after the one before. A long gap takes none of the run's time.
+    /// The place of a state `gap` cycles after the one before. A long gap takes none of the run's time, nor does a part that is too short.
     fn place(&mut self, gap: u64) -> Option<Place> {
-        let skipped = if gap > MAX_GAP { 0 } else { gap.saturating_sub(1) };
+        let divided = gap > MAX_GAP;
+        if divided {
+            let is_kept = self.tick - self.part >= MIN_SAMPLES as u64;
+            self.tick = if is_kept { self.tick } else { self.part };
+            self.part = self.tick;
+        }
+        let skipped = if divided { 0 } else { gap.saturating_sub(1) };
         let run = self.left.front()?;
         let tick = (self.tick + skipped).min(run.ticks - 1);
         let place = Place { motion: run.number, tick, last: tick + 1 == run.ticks };
@@ -65,7 +73,7 @@ impl Runs {
 
     /// Goes on to the next run.
     fn next(&mut self) -> Option<Run> {
-        self.tick = 0;
+        (self.tick, self.part) = (0, 0);
         self.left.pop_front()
     }
 }
@@ -265,18 +273,23 @@ mod tests {
 
     #[test]
     fn a_run_ends_with_its_last_sample_and_a_long_gap_takes_none_of_its_time() {
-        let run = |number| Run { number, name: String::new(), ticks: 10 };
-        let mut runs = Runs { left: [run(1), run(2)].into(), tick: 0 };
+        let run = |number| Run { number, name: String::new(), ticks: 5010 };
+        let mut runs = Runs { left: [run(1), run(2)].into(), tick: 0, part: 0 };
+        // A part that is long enough, and one that is not: its time is given back.
+        for _ in 0..5000 {
+            runs.place(1);
+        }
+        runs.place(500);
         let mut places = Vec::new();
-        for gap in [1, 1, 4, 500, 1, 1, 5, 1] {
+        for gap in [1, 1, 500, 1, 1, 4, 1, 1, 5, 1] {
             let place = runs.place(gap).unwrap();
             places.push((place.motion, place.tick, place.last));
             if place.last {
                 runs.next();
             }
         }
-        let expected = [(1, 0), (1, 1), (1, 5), (1, 6), (1, 7), (1, 8), (1, 9), (2, 0)];
-        assert_eq!(places, expected.map(|(motion, tick)| (motion, tick, tick == 9)));
+        let expected = [1, 2, 0, 1, 2, 6, 7, 8, 9].map(|tick| (1, 5000 + tick, tick == 9));
+        assert_eq!(places, [&expected[..], &[(2, 0, false)]].concat());
         runs.next();
         assert_eq!(runs.place(1), None);
     }
