@@ -137,7 +137,10 @@ fn the_arm_of_another_controller_is_identified_diagnosed_and_served() {
     eprintln!("torque of the followed model against the truth [Nm]: {errors:.4?}; noise {noise:.4?}");
     eprintln!("validation: {ratios:.3?} of the noise; {:?}", report.guest);
     eprintln!("{}", done.out);
-    assert!(count > 300.0 && errors.iter().zip(&noise).all(|(error, noise)| error < noise), "{errors:?} {noise:?}");
+    assert!(
+        count > 300.0 && errors.iter().zip(&noise).all(|(error, noise)| *error < 0.2 * noise),
+        "{errors:?} {noise:?}"
+    );
     assert!(!ratios.is_empty() && ratios.iter().all(|ratio| (0.9..1.05).contains(ratio)), "{ratios:?}");
 
     let counts = report.guest.unwrap();
@@ -147,7 +150,7 @@ fn the_arm_of_another_controller_is_identified_diagnosed_and_served() {
     assert_eq!((report.base.kind.as_str(), report.base.count), ("GBS", 59));
     assert!(report.identifiability.not_identifiable.is_empty());
     assert!(report.diagnosis.is_some());
-    for words in ["listened to 1 publisher, commanded nothing", "the motion was not planned; it determines all 59"] {
+    for words in ["listened to 1 publisher, commanded nothing", "the motion was not planned; it determines 59 of 59"] {
         assert!(done.out.contains(words), "no `{words}`: {}", done.output());
     }
     let dataset = Dataset::read(&place.out().join("dataset")).unwrap();
