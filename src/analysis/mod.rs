@@ -2,6 +2,7 @@
 
 pub mod collector;
 pub mod diagnosis;
+pub mod excitation;
 pub mod next;
 pub mod pipeline;
 pub mod results;

@@ -2,6 +2,7 @@
 
 use crate::analysis::collector::Recorded;
 use crate::analysis::diagnosis::{self, Diagnosed, Question};
+use crate::analysis::excitation::Excitation;
 use crate::analysis::next;
 use crate::analysis::pipeline::{self, Identified, Judged};
 use crate::config::job::{Diagnosis, Job};
@@ -14,7 +15,7 @@ use crate::report::{
     MotionUsage, Report, Round, Validation,
 };
 use crate::setup::planner::Planner;
-use crate::setup::programme::{Motion, Programme, Role, arm_limits, is_reached};
+use crate::setup::programme::{Motion, Planned, Programme, Role, arm_limits, is_reached};
 use crate::store::{ModelFile, Provenance, Validated, save_plan, uncertainty_of};
 use plumbline_core::threads;
 use plumbline_diagnose::errors::Of;
@@ -34,12 +35,14 @@ pub struct Results {
     robot: Robot,
     settings: Settings,
     out: PathBuf,
-    plan: Option<Motion>,
+    plan: Option<Planned>,
     motions: Vec<MotionUsage>,
     recorded: Vec<Recorded>,
     /// Begin of the first of them on the arm's clock \[s\].
     clock: Option<f64>,
     model: Option<Identified>,
+    /// Number of the motion after which the model of an arm that plumbline does not drive is identified.
+    last_unplanned: Option<u32>,
     notes: Vec<String>,
     /// The rounds before this one.
     rounds: Vec<Round>,
@@ -47,12 +50,14 @@ pub struct Results {
 
 impl Results {
     pub fn new(job: &Job, robot: &Robot, programme: &Programme, out: &Path) -> Results {
+        let identify = || programme.motions().filter(|motion| motion.role == Role::Identify);
         Results {
             job: job.clone(),
             robot: robot.clone(),
             settings: job.settings(),
             out: out.to_path_buf(),
-            plan: programme.motions().find(|motion| motion.role == Role::Identify).cloned(),
+            plan: identify().find_map(|motion| motion.planned().cloned()),
+            last_unplanned: identify().filter(|motion| motion.planned().is_none()).last().map(|motion| motion.number),
             motions: programme.motions().filter_map(usage).collect(),
             recorded: Vec::new(),
             clock: None,
@@ -73,7 +78,7 @@ impl Results {
                 dataset::Role::Identify => Role::Identify,
                 dataset::Role::Validate => Role::Validate,
             };
-            self.recorded.push(Recorded { number: 0, role, run, complete: true });
+            self.recorded.push(Recorded { number: 0, role, run, complete: true, ends: true });
         }
         Ok(())
     }
@@ -106,14 +111,45 @@ impl Results {
     }
 
     /// Identifies the model from the identification motions and writes `model.toml`; returns the text to offer to the daemon.
+    ///
+    /// The motion of an arm that plumbline does not drive cannot be had again: where it does not identify a model, its dataset is kept.
     pub fn identify(&mut self) -> Result<String, Failure> {
         let runs = self.runs(Role::Identify);
-        let identified = pipeline::identify(&self.robot, &runs, &TERMS, &self.settings, &self.job.solver())?;
+        let identified = pipeline::identify(&self.robot, &runs, &TERMS, &self.settings, &self.job.solver());
+        let identified = match identified {
+            Err(failure) if self.last_unplanned.is_some() => {
+                let dir = self.out.join("dataset");
+                self.dataset().write(&dir).map_err(Failure::job)?;
+                tracing::error!(
+                    "no model is identified from what was recorded; the recording is kept in {}",
+                    dir.display()
+                );
+                return Err(failure);
+            }
+            identified => identified?,
+        };
+        if self.last_unplanned.is_some() {
+            let excitation = self.excitation(&identified);
+            let words = excitation.words(&self.plan_command());
+            if excitation.is_poor() { tracing::warn!("{words}") } else { tracing::info!("{words}") }
+        }
         let file = self.model_file(&identified, Vec::new(), None);
         let text = file.to_toml();
         crate::atomic::write_result(&self.out.join("model.toml"), text.as_bytes())?;
         self.model = Some(identified);
         Ok(text)
+    }
+
+    /// Whether a model is identified after the motion with this number: after each one that plumbline drives, after the last one that it does
+    /// not.
+    pub fn identifies_after(&self, recorded: &Recorded) -> bool {
+        let is_last = self.last_unplanned.is_none_or(|last| recorded.ends && recorded.number == last);
+        recorded.role == Role::Identify && is_last
+    }
+
+    /// Whether runs of an arm that plumbline does not drive have no model yet, because the recording was ended before the last of them.
+    pub fn awaits_model(&self) -> bool {
+        self.last_unplanned.is_some() && self.model.is_none() && !self.runs(Role::Identify).is_empty()
     }
 
     /// The model and the first run that it was identified from.
@@ -169,7 +205,15 @@ impl Results {
         });
         report.motions = self.motions.clone();
         report.rounds = self.rounds.clone();
-        report.control_loop = Some(LoopReport::new(status, !self.job.backend.is_fast()));
+        match &status.guest {
+            Some(guest) => {
+                report.guest = Some(guest.counts);
+                let excitation = self.excitation(&plain);
+                report.notes.push(excitation.words(&self.plan_command()));
+                report.identifiability.weakly_determined = excitation.weak;
+            }
+            None => report.control_loop = Some(LoopReport::new(status, !self.job.backend.is_fast())),
+        }
         report.ipc = Some(IpcReport { sent, counters: *counters });
         report.notes.extend(self.notes.iter().cloned());
         let mut figures = self.figures(identified, judged)?;
@@ -178,6 +222,26 @@ impl Results {
             figures.diagnosis = diagnosed.figures;
         }
         report.write(&self.out, &figures).map_err(Failure::job)
+    }
+
+    /// What a motion that was not planned excites.
+    fn excitation(&self, of: &Identified) -> Excitation {
+        let gravity = self.job.mounting.gravity();
+        Excitation::of(&of.identification, of.model.structure(), &self.robot.limits, gravity)
+    }
+
+    /// The command that plans a motion for the job's arm.
+    fn plan_command(&self) -> String {
+        let Mounting { rho, phi } = self.job.mounting;
+        let name = self.job.mounting.to_string();
+        let mounting = match name.contains(' ') {
+            true => format!("\"{:.3} deg,{:.3} deg\"", rho.to_degrees(), phi.to_degrees()),
+            false => name,
+        };
+        format!(
+            "`plumbline plan --robot {} --mounting {mounting} --out plan.toml` plans one that determines all",
+            self.job.robot
+        )
     }
 
     /// Diagnosis, if enabled: found on the identification set, evaluated on the validation set.
@@ -278,7 +342,8 @@ impl Results {
         let name = self.job.file.file_stem().map_or("job".into(), |stem| stem.to_string_lossy().into_owned());
         let mut source = toml::Table::new();
         source.insert("program".into(), format!("plumbline {}", env!("CARGO_PKG_VERSION")).into());
-        source.insert("arm".into(), "simulated".into());
+        let arm = if self.last_unplanned.is_some() { "controlled by another program" } else { "simulated" };
+        source.insert("arm".into(), arm.into());
         Dataset {
             name,
             robot: self.robot_of_dataset(),
@@ -317,11 +382,11 @@ impl Results {
                 figures.runs.push(crate::report::figures::TorqueFigure { title, ..judged.figure });
             }
         }
-        figures.plan = self.plan.as_ref().map(|motion| self.plan_figure(motion));
+        figures.plan = self.plan.as_ref().map(|planned| self.plan_figure(planned));
         Ok(figures)
     }
 
-    fn plan_figure(&self, motion: &Motion) -> PlanFigure {
+    fn plan_figure(&self, motion: &Planned) -> PlanFigure {
         let n = self.joints();
         let t: Vec<f64> = (0..500).map(|k| k as f64 * motion.plan.period / 499.0).collect();
         let q: Vec<Vec<f64>> = (0..n).map(|j| t.iter().map(|&t| motion.fourier.at(j, t).q).collect()).collect();
@@ -334,7 +399,7 @@ impl Results {
 
 /// Use of the joints' limits by a motion, from its plan.
 fn usage(motion: &Motion) -> Option<MotionUsage> {
-    let PlanUsage { range, speed } = motion.plan.usage.clone()?;
+    let PlanUsage { range, speed } = motion.planned()?.plan.usage.clone()?;
     Some(MotionUsage { motion: motion.name.clone(), range, speed })
 }
 
@@ -371,6 +436,7 @@ pub fn report_of(identified: &Identified, mounting: Mounting, provenance: &Prove
         noise_floor: identification.rms.noise_floor.clone().unwrap_or_default(),
         identifiability: Identifiability {
             not_identifiable: identification.undetermined.iter().map(|one| one.name.clone()).collect(),
+            weakly_determined: Vec::new(),
             untrusted_runs: Vec::new(),
         },
         conditions: crate::analysis::conditions_facts(&identification.conditions),

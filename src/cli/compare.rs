@@ -185,6 +185,7 @@ fn diagnose_settings(options: &Options) -> Result<plumbline_diagnose::Settings, 
 fn identifiability(model: &TorqueModel, refused: &[&Run], doubt: &reference::Doubt) -> Identifiability {
     let mut facts = Identifiability {
         not_identifiable: doubt.parameters.clone(),
+        weakly_determined: Vec::new(),
         untrusted_runs: refused.iter().map(|run| run.data.name.clone()).chain(doubt.runs.iter().cloned()).collect(),
     };
     if !refused.is_empty() {

@@ -5,10 +5,12 @@
 
 mod check;
 pub mod franka;
+pub mod guest;
 pub mod inclinometer;
 mod sets;
 
 pub use franka::Franka;
+pub use guest::Guest;
 pub use inclinometer::{Inclinometer, MountingCheck};
 
 use super::units;
@@ -92,6 +94,9 @@ pub struct Backend {
     /// A Franka arm. Given where `kind` is `franka`, and nowhere else.
     #[serde(default)]
     pub franka: Option<Franka>,
+    /// How long is listened. Only where `kind` is `guest`; its defaults where absent.
+    #[serde(default)]
+    pub guest: Option<Guest>,
     /// Whether simulated time follows the clock.
     #[serde(default)]
     pub pace: Pace,
@@ -108,9 +113,21 @@ pub enum BackendKind {
     Sim,
     /// A Franka arm, or its emulator, over the Franka Control Interface.
     Franka,
+    /// An arm that another program controls and publishes the states of. It is listened to and never commanded.
+    Guest,
 }
 
 impl Backend {
+    /// How long is listened to an arm that another program controls; `None` for an arm that plumbline drives.
+    pub fn guest(&self) -> Option<Guest> {
+        (self.kind == BackendKind::Guest).then(|| self.guest.clone().unwrap_or_default())
+    }
+
+    /// Whether a loop commands the arm at the pace of the clock.
+    pub fn needs_realtime(&self) -> bool {
+        self.kind != BackendKind::Guest && !self.is_fast()
+    }
+
     /// Whether time is simulated and may run faster than the clock.
     pub fn is_fast(&self) -> bool {
         self.kind == BackendKind::Sim && self.pace == Pace::Fast

@@ -18,6 +18,11 @@ pub struct JobSetup {
 }
 
 impl JobSetup {
+    /// Whether another program controls the arm, which is then never commanded.
+    pub fn listens(&self) -> bool {
+        self.job.backend.guest().is_some()
+    }
+
     pub fn commands_torques(&self) -> bool {
         matches!(self.arm.command_mode(), CommandMode::Torque { .. })
     }

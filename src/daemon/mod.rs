@@ -7,6 +7,7 @@ mod check;
 #[cfg(test)]
 mod fixture;
 mod gravity;
+mod guest;
 mod job_setup;
 mod labels;
 #[cfg(test)]
@@ -119,6 +120,10 @@ pub fn run(options: Options) -> Result<(), Failure> {
     let checker = Checker::start(state.setup.robot.clone(), server.epoch()).map_err(Failure::job)?;
     let (service, share) = (Service::of_environment(), RequestShare::default());
     let mut daemon = Daemon { stops, server, checker, state, service, share, published: ModelHeader::default() };
+    if daemon.state.setup.listens() {
+        daemon.listen(&id, &programme)?;
+        return daemon.end();
+    }
     tracing::info!("the daemon of robot `{id}` is ready; the arm moves after `plumbline command start`");
     daemon.service.ready("at rest; the arm moves after `plumbline command start`");
     daemon.hold(daemon.state.mounting)?;
@@ -126,16 +131,14 @@ pub fn run(options: Options) -> Result<(), Failure> {
         daemon.drive(&programme)?;
         daemon.hold(daemon.state.mounting)?;
     }
-    daemon.service.stopping();
-    tracing::info!("the daemon ends; it has published {} samples", daemon.server.served().published);
-    Ok(())
+    daemon.end()
 }
 
-/// Starts the thread that receives stops. Its priority is above the bridge thread's, where the arm keeps wall-clock time.
+/// Starts the thread that receives stops. Its priority is above the bridge thread's, where a loop commands the arm at the pace of the clock.
 fn stop_relay(lock: &Lock, job: &Job) -> Result<StopRelay, Failure> {
     let failed = |error: std::io::Error| Failure::job(format!("stops can't be listened for: {error}"));
     let listener = StopListener::open(lock).map_err(failed)?;
-    let rights = (!job.backend.is_fast()).then(|| session::stop_listener_rights(&job.realtime));
+    let rights = job.backend.needs_realtime().then(|| session::stop_listener_rights(&job.realtime));
     StopRelay::start(listener, move || rights.iter().for_each(|rights| drop(become_realtime(rights)))).map_err(failed)
 }
 
@@ -149,6 +152,12 @@ fn model(path: PathBuf, root_owned: bool) -> Result<(PathBuf, String), Failure> 
 }
 
 impl Daemon {
+    fn end(self) -> Result<(), Failure> {
+        self.service.stopping();
+        tracing::info!("the daemon ends; it has published {} samples", self.server.served().published);
+        Ok(())
+    }
+
     /// Holds and serves until there is something to do. An arm in simulated time would only burn the processor meanwhile: it waits
     /// unconnected.
     fn hold(&mut self, mounting: Mounting) -> Result<(), Failure> {

@@ -1,7 +1,7 @@
 //! The orders of a session: decides from events what the loop is ordered next, without acting.
 
 use crate::recording::about::{APPROACH, RETURN, RecordedOrder, Series};
-use crate::setup::programme::{Motion, Role, Stage};
+use crate::setup::programme::{self, Role, Stage};
 use plumbline_core::{JointVec, MAX_JOINTS, Phase};
 use plumbline_excite::{ExciteError, Fourier, PeriodicMotion};
 use plumbline_rt::{Event, Order, OrderKind};
@@ -74,12 +74,14 @@ impl Script {
                 }
                 continue;
             }
-            let target = start_of(motion);
+            // A motion that another program drives needs no order.
+            let Some(planned) = motion.planned() else { continue };
+            let target = start_of(planned);
             let approach = motion.number + APPROACH;
-            let periods = (motion.periods + motion.lead_in) as u32;
+            let periods = (planned.periods + planned.lead_in) as u32;
             script.push(Planned::move_to(approach, target, Phase::Approach));
             script.push(Planned::dwell(approach, SETTLE));
-            script.push(Planned::follow(motion.number, &motion.fourier, periods)?);
+            script.push(Planned::follow(motion.number, &planned.fourier, periods)?);
             if motion.role == Role::Identify {
                 script.barrier = Some(motion.number);
             }
@@ -123,7 +125,7 @@ impl Script {
     }
 }
 
-fn start_of(motion: &Motion) -> JointVec {
+fn start_of(motion: &programme::Planned) -> JointVec {
     let mut start = [0.0; MAX_JOINTS];
     for (slot, &q) in start.iter_mut().zip(&motion.plan.q0) {
         *slot = q;

@@ -10,7 +10,7 @@ use crate::process::signals::{Cause, Ending};
 use crate::recording::about::{Reason, ReasonKind};
 use crate::recording::messages::event_text;
 use plumbline_core::{Fault, Record};
-use plumbline_ipc::{FollowerEvent, Progress, Session as SessionStatistics, StopOrder, now_ns};
+use plumbline_ipc::{FollowerEvent, GuestStatus, Progress, Session as SessionStatistics, StopOrder, now_ns};
 use plumbline_model::Mounting;
 use plumbline_rt::cycle::End;
 use plumbline_rt::{Controls, Event, StopReason};
@@ -25,6 +25,8 @@ pub struct ProgrammeState {
     /// Samples published when everything had been driven.
     pub driven: Option<u64>,
     pub recoveries: u32,
+    /// The end of the recording was requested, of an arm that is only listened to.
+    pub stop_listening: bool,
 }
 
 #[derive(Default)]
@@ -53,6 +55,8 @@ pub struct LoopHistory {
     /// Rights that the machine does not grant the running loop, with what to change.
     pub degraded: Vec<String>,
     pub last: Record,
+    /// What was received of an arm that another program controls.
+    pub guest: Option<GuestStatus>,
 }
 
 /// The state of the daemon, owned by the bridge thread.
@@ -150,8 +154,14 @@ impl DaemonState {
         self.stop(controls);
     }
 
-    /// Brakes the arm. The stop holds until an operator lifts it, also where no loop runs.
+    /// Brakes the arm. The stop holds until an operator lifts it, also where no loop runs. Of an arm that another program controls, it ends
+    /// the recording.
     pub fn stop(&mut self, controls: Option<&Controls>) {
+        if self.setup.listens() {
+            tracing::warn!("the recording ends; the arm itself is not stopped: another program controls it");
+            self.programme.stop_listening = true;
+            return;
+        }
         self.stops.barred = true;
         if let Some(controls) = controls {
             controls.stop();
@@ -172,11 +182,11 @@ impl DaemonState {
         self.stop(controls);
     }
 
-    pub fn take_records(&mut self, records: &[Record], controls: &Controls) {
+    pub fn take_records(&mut self, records: &[Record], controls: Option<&Controls>) {
         if let Some(moved) = self.gravity.take(records) {
             self.gravity_event(moved.event);
             if let Some(why) = moved.stop {
-                self.stop_because(Reason::new(ReasonKind::Mounting, why), Some(controls));
+                self.stop_because(Reason::new(ReasonKind::Mounting, why), controls);
             }
         }
         self.models.recent.take(records);
@@ -262,7 +272,8 @@ impl DaemonState {
         // Simulated time waits for an estimator that watches: its silence is no loss.
         let waited_for = job.live.watch && job.backend.is_fast();
         let silent = matches!(news, FollowerEvent::Silent { .. });
-        let stop = job.safety.on_estimator_loss == OnEstimatorLoss::Stop && !(silent && waited_for);
+        let stops = job.safety.on_estimator_loss == OnEstimatorLoss::Stop && !self.setup.listens();
+        let stop = stops && !(silent && waited_for);
         match (news, self.programme.progress) {
             // One that leaves during a motion is lost, too: it may have failed and disconnected in order.
             (

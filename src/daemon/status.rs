@@ -2,7 +2,7 @@
 
 use super::state::DaemonState;
 use plumbline_core::LoopStatistics;
-use plumbline_ipc::{Mounting as MountingMessage, Served, Status, now_ns};
+use plumbline_ipc::{GuestStatus, Mounting as MountingMessage, Served, Status, now_ns};
 use plumbline_model::Mounting;
 use plumbline_rt::Controls;
 
@@ -37,8 +37,14 @@ impl DaemonState {
             degraded: self.history.degraded.clone(),
             job: self.name_of(last.motion).map_or_else(|| place.clone(), |name| format!("{place}: {name}")),
             sessions: self.history.sessions.clone(),
+            guest: self.history.guest.clone(),
             served: served.clone(),
         };
+        if let Some(GuestStatus { counts, .. }) = &self.history.guest {
+            status.cycles += counts.received - counts.other_joints - counts.other_rate;
+            status.lost += counts.lost;
+            status.late += counts.late;
+        }
         if let Some(controls) = controls {
             status.cycles += controls.cycles();
             status.lost += controls.lost();

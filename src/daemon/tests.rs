@@ -3,7 +3,7 @@
 use super::fixture::{JOB, state_of};
 use super::*;
 use crate::setup::planner::{self, Planner};
-use crate::setup::programme::{Motion, Role, Stage};
+use crate::setup::programme::{Course, Motion, Planned, Role, Stage};
 use plumbline_core::{
     ArmError, ArmLimits, ArmMonitor, Backend, Command, ConnectOptions, Connected, Explanation, Fault, Hardware,
     JointVec, Link, MeasuredGravity, ModeChange, PERIOD_NS, PERIOD_S, State,
@@ -137,7 +137,8 @@ fn a_made_up_backend_is_driven_recovered_and_driven_to_the_end() {
     let mounting = Mounting::UPRIGHT;
     let plan = Planner::of(job, robot, Some(&limits)).unwrap().random(&mounting, 1).unwrap();
     let (fourier, name) = (planner::motion(&plan).unwrap(), "validate-upright-1".to_string());
-    let motion = Motion { number: 1, name, role: Role::Validate, mounting, plan, fourier, periods: 1, lead_in: 0 };
+    let course = Course::Planned(Box::new(Planned { plan, fourier, periods: 1, lead_in: 0 }));
+    let motion = Motion { number: 1, name, role: Role::Validate, mounting, course };
     let programme = Programme { stages: vec![Stage { mounting, motions: vec![motion] }] };
 
     let id = RobotId::parse("test", "robot", &format!("made-up-{}", std::process::id())).unwrap();

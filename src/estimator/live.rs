@@ -3,6 +3,7 @@
 mod log;
 
 use self::log::{Event, Log, Stretch};
+use crate::analysis::collector::MAX_GAP;
 use crate::analysis::pipeline;
 use crate::config::job::{Adopt, Job};
 use crate::dataset::Run;
@@ -168,7 +169,10 @@ impl Live {
         if self.serving != record.model {
             self.handle_served_model(record);
         }
-        if self.buffer.back().is_some_and(|before| before.motion != record.motion) {
+        let is_apart = |before: &Record| {
+            before.motion != record.motion || record.state.seq > before.state.seq.saturating_add(MAX_GAP)
+        };
+        if self.buffer.back().is_some_and(is_apart) {
             self.clear();
         }
         self.buffer.push_back(*record);
@@ -451,12 +455,15 @@ impl Live {
         (2 * resting < experiment.resting().len()).then_some(experiment)
     }
 
-    /// RMS of measured minus served torque between two moments, per joint \[Nm\].
+    /// RMS of measured minus served torque between two moments, per joint \[Nm\]; empty where no torque was served along the motion.
     fn served(&self, begin: f64, end: f64) -> Vec<f64> {
         let within = |r: &&Record| {
             (begin..end).contains(&r.state.time) && matches!(r.validity, Validity::Valid | Validity::Doubtful)
         };
         let chosen: Vec<&Record> = self.buffer.iter().filter(within).collect();
+        if chosen.is_empty() {
+            return Vec::new();
+        }
         let square = |j: usize| chosen.iter().map(|r| (r.state.tau[j] - r.command.tau_ff.0[j]).powi(2)).sum::<f64>();
         (0..self.joints).map(|j| (square(j) / chosen.len().max(1) as f64).sqrt()).collect()
     }

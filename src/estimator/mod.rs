@@ -8,7 +8,7 @@ use crate::estimator::live::{Live, OfferedModel, Verdict};
 use crate::failure::Failure;
 use crate::process::journal;
 use crate::process::service::Service;
-use crate::setup::programme::{Programme, Role};
+use crate::setup::programme::Programme;
 use crate::setup::{JobOptions, robot_id};
 use clap::Args;
 use plumbline_ipc::{
@@ -174,6 +174,16 @@ fn follow(
             let beyond = stream.position() - driven;
             let StreamCounters { received, .. } = stream.counters();
             let counters = StreamCounters { received: received.saturating_sub(beyond), ..stream.counters() };
+            if let Some(recorded) = collector.close()
+                && let Some(why) = process_run(id, stream.epoch(), &mut results, &mut live, recorded)?
+            {
+                return Ok(Outcome::Unusable { why: format!("the daemon refused the model: {why}") });
+            }
+            if results.awaits_model()
+                && let Some(why) = identify(id, stream.epoch(), &mut results, &mut live)?
+            {
+                return Ok(Outcome::Unusable { why: format!("the daemon refused the model: {why}") });
+            }
             if let Some(live) = &mut live {
                 if let Some(offer) = live.collect(true)? {
                     propose(id, stream.epoch(), offer)?;
@@ -198,18 +208,26 @@ fn process_run(
     live: &mut Option<Live>,
     mut recorded: Recorded,
 ) -> Result<Option<String>, Failure> {
+    let identifies = results.identifies_after(&recorded);
     if !recorded.complete {
         tracing::warn!("{} is incomplete and left out", recorded.run.data.name);
-        return Ok(None);
+        // The last run of an arm that plumbline does not drive may be too short; there may be others.
+        return if identifies && results.awaits_model() { identify(id, epoch, results, live) } else { Ok(None) };
     }
-    let role = recorded.role;
     if results.has_inclinometer() {
         set_measured_mounting(&status_of(id, epoch)?, results.first_mounting(), &mut recorded);
     }
     results.take(recorded);
-    if role != Role::Identify {
-        return Ok(None);
-    }
+    if identifies { identify(id, epoch, results, live) } else { Ok(None) }
+}
+
+/// Identifies the model and offers it. Why the daemon does not want it, if so.
+fn identify(
+    id: &RobotId,
+    epoch: u64,
+    results: &mut Results,
+    live: &mut Option<Live>,
+) -> Result<Option<String>, Failure> {
     let text = with_progress_log("the identification", || results.identify())?;
     if let (Some(live), Some((identified, run))) = (live.as_mut(), results.identified()) {
         let floor = identified.identification.rms.noise_floor.clone().unwrap_or_default();

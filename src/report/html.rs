@@ -36,6 +36,7 @@ pub(super) fn render(report: &Report, figures: &Figures) -> io::Result<String> {
         runs => runs(figures),
         plan => plan(figures),
         gravity => report.gravity.as_ref().map(gravity),
+        guest => report.guest.as_ref().map(summary::guest),
         control_loop => report.control_loop.as_ref().map(summary::control_loop),
         refusals => refusals(report),
         fast => report.control_loop.as_ref().is_some_and(LoopReport::is_fast),

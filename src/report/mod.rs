@@ -20,6 +20,7 @@ pub use timing::{IpcReport, LoopReport};
 
 use crate::atomic;
 use crate::failure::Failure;
+use plumbline_ipc::GuestCounts;
 use plumbline_model::{Mounting, Parameter, TorqueModel};
 use serde::{Deserialize, Deserializer, Serialize};
 use std::io;
@@ -65,6 +66,9 @@ pub struct Report {
     /// Statistics of the real-time loop; absent for recorded data.
     #[serde(default, rename = "loop", skip_serializing_if = "Option::is_none")]
     pub control_loop: Option<LoopReport>,
+    /// Counters of the states of an arm that another program controls; absent where plumbline drives the arm.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub guest: Option<GuestCounts>,
     /// Counters of the sample stream; absent for recorded data.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub ipc: Option<IpcReport>,
@@ -267,6 +271,9 @@ impl Validation {
 pub struct Identifiability {
     /// Parameters that this data can't determine.
     pub not_identifiable: Vec<String>,
+    /// Parameters that a motion that was not planned determines weakly: see [`crate::analysis::excitation`].
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub weakly_determined: Vec<String>,
     pub untrusted_runs: Vec<String>,
 }
 

@@ -1,6 +1,7 @@
 //! Summary of a job in a few lines.
 
 use super::{Band, Base, CounterExperiment, LoopReport, MotionUsage, Report, Round, TermCount, Validation, diagnosis};
+use plumbline_ipc::GuestCounts;
 
 /// Ratio from which an RMS counts as changed. The scatter of an RMS over ten thousand samples is below 1 %.
 pub(super) const CHANGED: f64 = 0.05;
@@ -123,6 +124,7 @@ pub(super) fn without_diagnosis(report: &Report) -> Vec<String> {
     lines.extend(report.counter_experiment.as_ref().map(|of| format!("counter-experiment: {}", counter(of))));
     lines.extend(report.gravity.as_ref().map(|facts| format!("gravity: {}", facts.sentence())));
     lines.extend(report.control_loop.as_ref().map(control_loop));
+    lines.extend(report.guest.as_ref().map(guest));
     if let Some(ipc) = &report.ipc {
         let verdict = if ipc.sent == ipc.counters.received { "none missing" } else { "NOT EQUAL" };
         lines.push(format!("samples: {} sent, {} received, {verdict}", ipc.sent, ipc.counters.received));
@@ -229,6 +231,18 @@ pub(super) fn control_loop(of: &LoopReport) -> String {
     }
     let pace = if of.is_fast() { "simulated time, as fast as possible" } else { "wall-clock" };
     format!("loop ({pace}): {}", parts.join(", "))
+}
+
+/// Counters of the states of an arm that another program controls.
+pub(super) fn guest(of: &GuestCounts) -> String {
+    let GuestCounts { received, lost, doubled, out_of_order, not_finite, malformed, other_joints, other_rate, .. } = of;
+    let GuestCounts { late, pauses, publishers, .. } = of;
+    let publishers = if *publishers == 1 { "1 publisher".to_string() } else { format!("{publishers} publishers") };
+    format!(
+        "listened to {publishers}, commanded nothing: {received} states received, {lost} lost, {late} late, {pauses} pauses, {doubled} doubled, \
+         {out_of_order} out of order, {not_finite} not finite, {malformed} malformed, {other_joints} of another number of joints, {other_rate} at \
+         another rate"
+    )
 }
 
 pub(super) fn digits(value: f64) -> String {

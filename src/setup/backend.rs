@@ -2,7 +2,7 @@
 
 use crate::config::job::{BackendKind, Job};
 use crate::failure::Failure;
-use plumbline_core::{ArmConnector, Clock};
+use plumbline_core::{ArmConnector, ArmError, Clock, ConnectOptions, Connected};
 use plumbline_model::Robot;
 use plumbline_rt::os::Monotonic;
 use plumbline_sim::{SimConnector, Truth};
@@ -20,7 +20,17 @@ pub fn connector(job: &Job, robot: &Robot) -> Result<Box<dyn ArmConnector>, Fail
         // `check` of the job refuses one without its table.
         (BackendKind::Franka, None) => return Err(Failure::job("the job has no `backend.franka`")),
         (BackendKind::Sim, _) => Box::new(simulated(job, robot)?),
+        (BackendKind::Guest, _) => Box::new(HeldElsewhere),
     })
+}
+
+/// An arm that another program holds: it is listened to (`daemon::guest`), and a connection that could command it is refused.
+struct HeldElsewhere;
+
+impl ArmConnector for HeldElsewhere {
+    fn connect(&self, _options: &ConnectOptions) -> Result<Connected, ArmError> {
+        Err("the job's arm is held by another program (backend.kind = \"guest\"): plumbline never commands it".into())
+    }
 }
 
 fn simulated(job: &Job, robot: &Robot) -> Result<SimConnector, Failure> {

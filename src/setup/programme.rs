@@ -1,6 +1,6 @@
 //! What a job drives, in order. The daemon and the estimator derive the same programme from the same files.
 
-use crate::config::job::Job;
+use crate::config::job::{Guest, Job};
 use crate::failure::Failure;
 use crate::process::progress;
 use crate::setup::planner::Planner;
@@ -30,21 +30,51 @@ pub struct Motion {
     pub role: Role,
     /// How the arm is mounted meanwhile.
     pub mounting: Mounting,
+    pub course: Course,
+}
+
+/// How the arm moves.
+#[derive(Clone, Debug)]
+pub enum Course {
+    Planned(Box<Planned>),
+    /// As the program that controls the arm wants; the motion is recorded for this long.
+    Unplanned {
+        /// Samples, at 1 kHz.
+        ticks: usize,
+    },
+}
+
+/// A periodic motion that the arm is driven along.
+#[derive(Clone, Debug)]
+pub struct Planned {
     pub plan: Plan,
     pub fourier: Fourier,
     pub periods: usize,
     pub lead_in: usize,
 }
 
-impl Motion {
+impl Planned {
     /// Samples of one period, at 1 kHz.
     pub fn period_ticks(&self) -> usize {
         (self.plan.period * 1000.0).round() as usize
     }
+}
+
+impl Motion {
+    /// The motion that the arm is driven along, where it is driven.
+    pub fn planned(&self) -> Option<&Planned> {
+        match &self.course {
+            Course::Planned(planned) => Some(planned),
+            Course::Unplanned { .. } => None,
+        }
+    }
 
     /// Samples of the whole motion, lead-in included.
     pub fn ticks(&self) -> usize {
-        self.period_ticks() * (self.periods + self.lead_in)
+        match &self.course {
+            Course::Planned(planned) => planned.period_ticks() * (planned.periods + planned.lead_in),
+            Course::Unplanned { ticks } => *ticks,
+        }
     }
 }
 
@@ -105,17 +135,37 @@ impl Programme {
         Ok(programme)
     }
 
+    /// The runs of an arm that another program controls: those to identify from, then those that validate.
+    fn listened(job: &Job, guest: &Guest) -> Programme {
+        let place = slug(&job.mounting.to_string());
+        let mut motions = Vec::new();
+        for (role, stem, seconds) in
+            [(Role::Identify, "identify", guest.identify), (Role::Validate, "validate", guest.validate)]
+        {
+            let (count, ticks) = guest.runs(seconds);
+            for k in 1..=count {
+                let (number, name) = (motions.len() as u32 + 1, format!("{stem}-{place}-{k}"));
+                let course = Course::Unplanned { ticks };
+                motions.push(Motion { number, name, role, mounting: job.mounting, course });
+            }
+        }
+        Programme { stages: vec![Stage { mounting: job.mounting, motions }] }
+    }
+
     /// Reads the plans that [`Programme::save`] wrote. Whoever drives them checks them first ([`Programme::check`]).
     pub fn load(job: &Job, dir: &Path) -> Result<Programme, Failure> {
+        if let Some(guest) = job.backend.guest() {
+            return Ok(Programme::listened(job, &guest));
+        }
         fill(job, slots(job), |slot| Ok(load_plan(&file(dir, &slot.name))?))
     }
 
     /// Holds every motion, and every way between two of them, to the limits and to the rules of the loop's guard. `dir` holds the plans.
     pub fn check(&self, planner: &Planner, dir: &Path) -> Result<(), Failure> {
         let mut ways = Ways::new(planner)?;
-        for motion in self.motions() {
-            planner.check(&motion.plan, &file(dir, &motion.name))?;
-            ways.go(&motion.mounting, &motion.plan.q0)
+        for (motion, planned) in self.planned() {
+            planner.check(&planned.plan, &file(dir, &motion.name))?;
+            ways.go(&motion.mounting, &planned.plan.q0)
                 .map_err(|peak| way_blocked(planner.job, &motion.name, Some(peak), 1))?;
         }
         Ok(())
@@ -124,9 +174,9 @@ impl Programme {
     /// The motions that one model is identified from determine its parameters.
     fn check_excitation(&self, planner: &Planner) -> Result<(), Failure> {
         for role in [Role::Identify, Role::Counter] {
-            let motions: Vec<&Motion> = self.motions().filter(|motion| motion.role == role).collect();
-            if let Some(first) = motions.first() {
-                let series: Vec<_> = motions.iter().map(|motion| motion.fourier.clone()).collect();
+            let motions: Vec<_> = self.planned().filter(|(motion, _)| motion.role == role).collect();
+            if let Some((first, _)) = motions.first() {
+                let series: Vec<_> = motions.iter().map(|(_, planned)| planned.fourier.clone()).collect();
                 planner.check_excitation(&first.mounting, &series)?;
             }
         }
@@ -136,8 +186,8 @@ impl Programme {
     /// Writes one plan file per motion.
     pub fn save(&self, dir: &Path) -> Result<(), Failure> {
         std::fs::create_dir_all(dir).map_err(|error| Failure::job(format!("{}: {error}", dir.display())))?;
-        for motion in self.motions() {
-            save_plan(&motion.plan, &file(dir, &motion.name)).map_err(Failure::job)?;
+        for (motion, planned) in self.planned() {
+            save_plan(&planned.plan, &file(dir, &motion.name)).map_err(Failure::job)?;
         }
         Ok(())
     }
@@ -145,11 +195,18 @@ impl Programme {
     pub fn motions(&self) -> impl Iterator<Item = &Motion> {
         self.stages.iter().flat_map(|stage| &stage.motions)
     }
+
+    fn planned(&self) -> impl Iterator<Item = (&Motion, &Planned)> {
+        self.motions().filter_map(|motion| Some((motion, motion.planned()?)))
+    }
 }
 
 /// The job's programme, inside the limits of robot, job and the connected `arm`: the plans of an earlier run of the same job where they
 /// are, else new ones, which are then kept in `out/plans`.
 pub fn plan_or_load(job: &Job, robot: &Robot, out: &Path, arm: Option<&ArmLimits>) -> Result<Programme, Failure> {
+    if let Some(guest) = job.backend.guest() {
+        return Ok(Programme::listened(job, &guest));
+    }
     let dir = out.join("plans");
     let planner = Planner::of(job, robot, arm)?;
     let stamp = planner.fingerprint();
@@ -357,7 +414,8 @@ fn fill(
         };
         let Slot { name, role, mounting, .. } = slot;
         let fourier = crate::setup::planner::motion(&plan)?;
-        let motion = Motion { number: index as u32 + 1, name, role, mounting, plan, fourier, periods, lead_in };
+        let course = Course::Planned(Box::new(Planned { plan, fourier, periods, lead_in }));
+        let motion = Motion { number: index as u32 + 1, name, role, mounting, course };
         match stages.last_mut() {
             Some(stage) if stage.mounting == mounting => stage.motions.push(motion),
             _ => stages.push(Stage { mounting, motions: vec![motion] }),

@@ -3,6 +3,7 @@
 
 mod blocked_log;
 mod every_millisecond;
+mod guest;
 mod inclinometer_daemon;
 mod kill_campaign;
 mod orders;

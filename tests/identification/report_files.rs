@@ -76,6 +76,7 @@ fn report() -> Report {
             sessions: ["wall", "upright"].map(session).to_vec(),
             ..LoopReport::default()
         }),
+        guest: None,
         ipc: Some(ipc(131_072, 131_072)),
         provenance,
         notes: Vec::new(),

@@ -162,13 +162,15 @@ fn assert_names_every_key(what: &str, block: &str, mut refusal: impl FnMut(&str)
 #[test]
 fn the_job_file_shows_every_key_and_its_default() {
     let text = page::read("docs/reference/job-file.md");
-    let [all, franka, inclinometer, _]: [String; 4] = toml_blocks(&text).try_into().unwrap();
+    let [all, franka, guest, inclinometer, _]: [String; 5] = toml_blocks(&text).try_into().unwrap();
     let upright = "robot = \"panda\"\nmounting = \"upright\"\nvalidation = { mountings = [\"upright\"] }\n";
     let of_franka = format!("{upright}backend.kind = \"franka\"\n");
+    let of_guest = "robot = \"panda\"\nmounting = \"upright\"\nbackend.kind = \"guest\"\n".to_string();
     let of_sensor = format!("{upright}backend = {{ kind = \"sim\", arm = \"sim-panda\", pace = \"wall-clock\" }}\n");
     let cases = [
         ("", all, "robot = \"panda\"\nmounting = \"wall\"\nbackend = { kind = \"sim\", arm = \"sim-panda\" }\n"),
         (of_franka.as_str(), franka, "backend.franka.address = \"172.16.0.2\"\n"),
+        (of_guest.as_str(), guest, "backend.guest = {}\n"),
         (
             of_sensor.as_str(),
             inclinometer,
@@ -182,7 +184,7 @@ fn the_job_file_shows_every_key_and_its_default() {
         assert_eq!(shown, parse(&format!("{head}{least}")).unwrap(), "docs/reference/job-file.md: shown and default");
         parse(&format!("{head}{}", with_options(&block))).unwrap();
         assert_names_every_key("docs/reference/job-file.md", &block, |text| {
-            // The top level of the second and third block is that of the first.
+            // The top level of the others is that of the first block.
             if !head.is_empty() && text.starts_with("zzz") {
                 return None;
             }
@@ -193,7 +195,7 @@ fn the_job_file_shows_every_key_and_its_default() {
 
 #[test]
 fn the_arm_file_shows_every_key_and_its_default() {
-    let block = toml_blocks(&page::read("docs/reference/job-file.md")).swap_remove(3);
+    let block = toml_blocks(&page::read("docs/reference/job-file.md")).swap_remove(4);
     // A base is found beside the file.
     let file = plumbline_testkit::path("config/arms/own.toml").display().to_string();
     let parse = |text: &str| Truth::parse(&file, text);

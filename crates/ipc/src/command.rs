@@ -6,6 +6,7 @@
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 
 use super::error::IpcError;
+use super::guest::GuestCounts;
 use plumbline_core::{Distribution, Link, LoopStatistics, Phase};
 
 /// Maximum length of a request \[bytes\]: a model file of 1 MiB fits even when every second character needs an escape.
@@ -192,8 +193,22 @@ pub struct Status {
     pub degraded: Vec<String>,
     /// Statistics of each ended connection to the arm.
     pub sessions: Vec<Session>,
+    /// States of an arm that another program controls; absent where the daemon drives the arm.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub guest: Option<GuestStatus>,
     /// Statistics of shared memory, from [`Server::served`](super::Server::served).
     pub served: Served,
+}
+
+/// States of an arm that another program controls, as the daemon has received them.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct GuestStatus {
+    /// Counters by name.
+    #[serde(flatten)]
+    pub counts: GuestCounts,
+    /// Why no states are used now, with the operator's next step.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub problem: Option<String>,
 }
 
 /// Progress of the job.

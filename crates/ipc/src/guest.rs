@@ -5,9 +5,10 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 use iceoryx2::port::publisher::Publisher;
 use iceoryx2::port::subscriber::Subscriber;
 use iceoryx2::prelude::*;
+use serde::{Deserialize, Serialize};
 
 use super::error::IpcError;
-use super::messages::{GuestMessage, LAYOUT};
+use super::messages::{GuestMessage, LAYOUT, MessageError};
 use super::robot::RobotId;
 use super::services::{self, MAX_BATCH_RECORDS, SERVER_TIMEOUT, ServiceNode, retry_until, transport};
 
@@ -71,12 +72,38 @@ pub enum GuestDelivery {
     },
 }
 
+/// Counters of the states of an arm that another program controls. The receiver fills the first six, the daemon the others.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct GuestCounts {
+    /// States received in the order of their numbers.
+    pub received: u64,
+    /// Numbers that were missing at the receiver.
+    pub lost: u64,
+    /// States received a second time in a row, not used.
+    pub doubled: u64,
+    /// States older than the last one, or of an earlier publisher; not used. Their numbers were counted as lost before.
+    pub out_of_order: u64,
+    /// States with a number that is not finite, not used.
+    pub not_finite: u64,
+    /// States of another layout, or with a number of joints that no arm has; not used.
+    pub malformed: u64,
+    /// Received states with another number of joints than the robot, not used.
+    pub other_joints: u64,
+    /// Received states of a publisher whose rate is not 1 kHz, not used.
+    pub other_rate: u64,
+    /// States published more than half a period after they were due.
+    pub late: u64,
+    /// Interruptions of more than 20 ms between two states of one publisher: a run is divided there.
+    pub pauses: u64,
+    /// Publishers that have started.
+    pub publishers: u64,
+}
+
 /// Receiver of the states of one arm. Not `Send`.
 pub struct GuestReceiver {
     epoch: u64,
     next: u64,
-    lost: u64,
-    rejected: u64,
+    counts: GuestCounts,
     subscriber: Subscriber<ipc::Service, [GuestMessage], ()>,
     service: services::Guest,
     node: ServiceNode,
@@ -93,11 +120,11 @@ impl GuestReceiver {
         let service = services::open_guest(&node, robot)?;
         let subscriber =
             retry_until(&services::guest_name(robot), SERVER_TIMEOUT, || Ok(service.subscriber_builder().create()))?;
-        Ok(GuestReceiver { epoch: 0, next: 0, lost: 0, rejected: 0, subscriber, service, node })
+        Ok(GuestReceiver { epoch: 0, next: 0, counts: GuestCounts::default(), subscriber, service, node })
     }
 
-    /// All that has arrived since the last call. A publisher's numbers start at 0: what it sent before this receiver opened is reported as
-    /// lost, too.
+    /// All that has arrived since the last call. Numbers are counted from the first sample that this receiver gets; those of a publisher that
+    /// starts later, from 0.
     ///
     /// # Errors
     /// [`IpcError::Transport`] when shared memory failed.
@@ -110,20 +137,33 @@ impl GuestReceiver {
     }
 
     fn take(&mut self, sample: &GuestMessage, deliveries: &mut Vec<GuestDelivery>) {
-        let is_late = sample.epoch == self.epoch && sample.seq < self.next;
-        if sample.check().is_err() || sample.epoch < self.epoch || is_late {
-            self.rejected += 1;
+        if matches!(sample.check(), Err(error) if !matches!(error, MessageError::NotFinite { .. })) {
+            self.counts.malformed += 1;
             return;
         }
-        if sample.epoch != self.epoch {
-            (self.epoch, self.next) = (sample.epoch, 0);
+        let is_same = sample.epoch == self.epoch;
+        if sample.epoch < self.epoch || (is_same && sample.seq < self.next) {
+            let doubled = is_same && sample.seq + 1 == self.next;
+            *(if doubled { &mut self.counts.doubled } else { &mut self.counts.out_of_order }) += 1;
+            return;
+        }
+        if !is_same {
+            // What was sent before this receiver opened is no loss.
+            let first = if self.epoch == 0 { sample.seq } else { 0 };
+            (self.epoch, self.next) = (sample.epoch, first);
+            self.counts.publishers += 1;
             deliveries.push(GuestDelivery::Started { epoch: sample.epoch });
         }
         if sample.seq > self.next {
-            self.lost += sample.seq - self.next;
+            self.counts.lost += sample.seq - self.next;
             deliveries.push(GuestDelivery::Lost { from: self.next, to: sample.seq });
         }
         self.next = sample.seq.saturating_add(1);
+        if sample.check().is_err() {
+            self.counts.not_finite += 1;
+            return;
+        }
+        self.counts.received += 1;
         match deliveries.last_mut() {
             Some(GuestDelivery::Samples(samples)) => samples.push(*sample),
             _ => deliveries.push(GuestDelivery::Samples(vec![*sample])),
@@ -132,12 +172,18 @@ impl GuestReceiver {
 
     /// Samples lost so far.
     pub fn lost(&self) -> u64 {
-        self.lost
+        self.counts.lost
     }
 
-    /// Samples rejected so far: of another layout, with a number that is not finite, or out of order.
+    /// Samples rejected so far: malformed, with a number that is not finite, doubled or out of order.
     pub fn rejected(&self) -> u64 {
-        self.rejected
+        let GuestCounts { doubled, out_of_order, not_finite, malformed, .. } = self.counts;
+        doubled + out_of_order + not_finite + malformed
+    }
+
+    /// Counters by name.
+    pub fn counts(&self) -> &GuestCounts {
+        &self.counts
     }
 
     /// Whether a publisher's process runs. Reads files.

@@ -56,13 +56,13 @@ mod stream;
 pub use arm_lock::{ArmLock, ArmLockError};
 pub use client::Client;
 pub use command::{
-    Follower, Gravity, HeldModel, MAX_REQUEST_BYTES, MotionGravity, Mounting, Progress, Proposal, Request, Response,
-    Served, Session, Status,
+    Follower, Gravity, GuestStatus, HeldModel, MAX_REQUEST_BYTES, MotionGravity, Mounting, Progress, Proposal, Request,
+    Response, Served, Session, Status,
 };
 pub use error::IpcError;
 pub use feed_forward::{FeedForwardClient, FeedForwardSettings, Latest, Presence};
 pub use followers::FollowerEvent;
-pub use guest::{GuestDelivery, GuestPublisher, GuestReceiver};
+pub use guest::{GuestCounts, GuestDelivery, GuestPublisher, GuestReceiver};
 pub use lock::{Lock, LockError};
 pub use messages::{
     FeedForwardMessage, FollowRequest, GuestMessage, LAYOUT, MessageError, ModelHeader, ReplayHeader, SampleMessage,

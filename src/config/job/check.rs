@@ -11,7 +11,13 @@ pub(super) fn check(job: &Job) -> Result<(), BadInput> {
         Err(BadInput::new(&file, format!("key `{key}`"), value.to_string(), expected))
     };
     let backend = &job.backend;
+    if let (BackendKind::Sim | BackendKind::Franka, Some(_)) = (backend.kind, &backend.guest) {
+        return bad("backend.guest", &"a table", "none, but for kind = \"guest\"");
+    }
     match (backend.kind, &backend.arm, &backend.franka) {
+        (BackendKind::Guest, Some(_), _) => return bad("backend.arm", &"a value", "none, for kind = \"guest\""),
+        (BackendKind::Guest, _, Some(_)) => return bad("backend.franka", &"a table", "none, for kind = \"guest\""),
+        (BackendKind::Guest, None, None) => check_guest(job, &file)?,
         (BackendKind::Sim, None, _) => {
             return bad("backend.arm", &"nothing", "the arm to simulate, for kind = \"sim\"");
         }
@@ -179,6 +185,32 @@ pub(super) fn check(job: &Job) -> Result<(), BadInput> {
         return bad("output.dir", &"``", "the path of a folder");
     }
     Ok(())
+}
+
+/// What a job may say of an arm that it does not drive.
+fn check_guest(job: &Job, file: &str) -> Result<(), BadInput> {
+    let bad = |key: &str, value: &dyn ToString, expected: &str| {
+        Err(BadInput::new(file, format!("key `{key}`"), value.to_string(), expected))
+    };
+    job.backend.guest().map_or(Ok(()), |guest| guest.check(file))?;
+    if let Some(plan) = &job.excitation.plan {
+        return bad("excitation.plan", &plan.display(), "none, for kind = \"guest\": its controller drives the motion");
+    }
+    if job.diagnosis.rounds > 0 {
+        let expected = "0, for kind = \"guest\": plumbline drives no further motion; `plumbline next` plans one";
+        return bad("diagnosis.rounds", &job.diagnosis.rounds, expected);
+    }
+    if job.live.motion > 0.0 {
+        let expected = "0 s, for kind = \"guest\": its model is watched as long as the daemon runs";
+        return bad("live.motion", &format!("{} s", job.live.motion), expected);
+    }
+    if job.validation.counter_experiment {
+        return bad("validation.counter-experiment", &true, "false, for kind = \"guest\"");
+    }
+    match &job.inclinometer {
+        Some(_) => bad("inclinometer", &"a table", "none, for kind = \"guest\": the declared mounting is used"),
+        None => Ok(()),
+    }
 }
 
 impl Job {

@@ -114,8 +114,8 @@ pub struct BaseMoved {
 pub struct GravityMonitor {
     declared: Mounting,
     check: MountingCheck,
-    /// Time is simulated: a model is served before the first rest of the arm.
-    simulated_time: bool,
+    /// A model is served before the first rest of the arm: time is simulated, or another program moves the arm, which may never rest.
+    needs_no_rest: bool,
     inclinometer: Option<Inclinometer>,
     /// Gravity by the robot's own accelerometers.
     robot: Option<GravitySource>,
@@ -145,7 +145,7 @@ impl GravityMonitor {
         Ok(GravityMonitor {
             declared: job.mounting,
             check: job.mounting_check,
-            simulated_time: job.backend.is_fast(),
+            needs_no_rest: !job.backend.needs_realtime(),
             inclinometer: Inclinometer::open(job)?,
             robot: None,
             vendor: None,
@@ -330,7 +330,7 @@ impl GravityMonitor {
     /// no rest: the mounting was checked with the first one.
     fn must_rest_first(&self) -> bool {
         let settled = self.torques.as_ref().is_some_and(TorqueCheck::is_settled);
-        self.check.torques && !self.simulated_time && !settled
+        self.check.torques && !self.needs_no_rest && !settled
     }
 
     /// Whether every side agrees with `model`, which was offered. One that does not leaves no trace.

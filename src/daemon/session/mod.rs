@@ -203,7 +203,7 @@ impl Session {
         ));
         daemon.server.publish(&self.records);
         self.tape.keep(&self.records);
-        daemon.state.take_records(&self.records, &self.handles.controls);
+        daemon.state.take_records(&self.records, Some(&self.handles.controls));
         self.records_due.record_read(last.stamp_ns, last.work_ns);
         let now = now_ns();
         for record in &self.records {
