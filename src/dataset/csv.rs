@@ -69,7 +69,10 @@ fn text_of<'b>(file: &str, bytes: &'b [u8]) -> Result<&'b [u8], BadInput> {
     let count = |separator: u8| first.iter().filter(|byte| **byte == separator).count();
     for (separator, name) in [(b';', "semicolons"), (b'\t', "tabs"), (b' ', "blanks"), (b'|', "bars")] {
         if count(b',') == 0 && count(separator) > 1 {
-            return refused(&format!("columns separated by {name}"), "columns separated by commas, decimals with a point");
+            return refused(
+                &format!("columns separated by {name}"),
+                "columns separated by commas, decimals with a point",
+            );
         }
     }
     let header = String::from_utf8_lossy(first);

@@ -11,7 +11,7 @@ use plumbline_model::{G, Reduction, Robot, Structure, TorqueSensing};
 /// Length of a block \[s\].
 const BLOCK_S: f64 = 0.04;
 /// Most blocks of a run, spread evenly.
-const MAX_BLOCKS: usize = 400;
+const MAX_BLOCKS: usize = 300;
 /// Speed below which a joint is at rest \[rad/s\]; blocks of an arm at rest have no determined Coulomb friction.
 const REST_SPEED: f64 = 0.01;
 /// Sampling rate to which a faster recording is averaged \[Hz\].
@@ -105,6 +105,11 @@ impl Prepared {
             })
         };
         (0..joints).map(of).collect()
+    }
+
+    /// The equations of this structure along `motion`, in the mounting of the motion.
+    pub fn system(&self, structure: &Structure, motion: &Motion) -> System {
+        System::new(self.means(&structure.regressor(motion), motion.joints()))
     }
 
     /// The regressor of this structure along `motion`, for every direction of gravity.
@@ -213,9 +218,8 @@ impl System {
     pub fn fit(&self, tau: &DMatrix<f64>) -> Option<Fit> {
         let n = tau.ncols();
         let right: Vec<DVector<f64>> = (0..n).map(|j| self.w[j].tr_mul(&tau.column(j))).collect();
-        let floor: Vec<f64> = (0..n)
-            .map(|j| (MIN_RESIDUAL_RATIO * super::deviation(tau.column(j).as_slice())).max(1e-9))
-            .collect();
+        let floor: Vec<f64> =
+            (0..n).map(|j| (MIN_RESIDUAL_RATIO * super::deviation(tau.column(j).as_slice())).max(1e-9)).collect();
         let mut sigma: Vec<f64> = floor.iter().map(|floor| floor / MIN_RESIDUAL_RATIO).collect();
         let mut last = None;
         for _ in 0..ROUNDS {
@@ -235,7 +239,8 @@ impl System {
             let covariance = DMatrix::from_fn(p, p, |i, k| scale[i] * inverse[(i, k)] * scale[k]);
             let beta = &covariance * &b;
             let residual = tau - self.modelled(&beta);
-            sigma = (0..n).map(|j| (residual.column(j).norm_squared() / tau.nrows() as f64).sqrt().max(floor[j])).collect();
+            sigma =
+                (0..n).map(|j| (residual.column(j).norm_squared() / tau.nrows() as f64).sqrt().max(floor[j])).collect();
             last = Some(Fit { beta, sigma: sigma.clone(), covariance, residual });
         }
         last.filter(|fit| fit.score().is_finite())

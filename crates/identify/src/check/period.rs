@@ -40,12 +40,19 @@ pub(super) fn repeats(run: &Run) -> Option<Finding> {
     let nearby = scan(period * 0.97, (period * 1.03).min(length * 0.95));
     let best = [best, nearby].into_iter().flatten().min_by(|a, b| a.1.total_cmp(&b.1));
     let finding = finding.measured(declared, MAX_DISTANCE, "");
-    let found = |words: String| format!("{period} s: one period later the joints are {:.1} % of their motion away{words}", 100.0 * declared);
+    let found = |words: String| {
+        format!("{period} s: one period later the joints are {:.1} % of their motion away{words}", 100.0 * declared)
+    };
     match best {
         Some((at, least)) if declared > MIN_DISTANCE && declared > MAX_DISTANCE_RATIO * least => {
             let words = format!(" ({:.1} % after {at:.4} s)", 100.0 * least);
             let limit = MAX_DISTANCE_RATIO * least.max(MIN_DISTANCE / MAX_DISTANCE_RATIO);
-            Some(finding.measured(declared, limit, "").state(State::Fail).says(found(words), format!("the period of the motion, about {at:.4} s")))
+            Some(
+                finding
+                    .measured(declared, limit, "")
+                    .state(State::Fail)
+                    .says(found(words), format!("the period of the motion, about {at:.4} s")),
+            )
         }
         _ if declared > MAX_DISTANCE => {
             let expected = "a motion that repeats with this period, or no key `period`";

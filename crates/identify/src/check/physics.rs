@@ -1,7 +1,7 @@
 //! What any arm has, whatever its masses: inertia that is positive, friction that takes energy.
 
 use super::equations::Fit;
-use nalgebra::{DVector, DMatrix, Vector3};
+use nalgebra::{DMatrix, DVector, Vector3};
 use plumbline_model::Structure;
 use plumbline_model::term::Motion;
 

@@ -101,7 +101,10 @@ fn positions(robot: &Robot, run: &Run) -> Vec<Finding> {
             .of_joint(j)
             .measured(beyond, allowed, unit)
             .state(state)
-            .says(format!("{furthest:.4} {unit}"), format!("{low} to {high} {unit}, the range of joint {} of {} ({hint})", j + 1, robot.name))
+            .says(
+                format!("{furthest:.4} {unit}"),
+                format!("{low} to {high} {unit}, the range of joint {} of {} ({hint})", j + 1, robot.name),
+            )
     };
     (0..run.joints()).map(of).collect()
 }
@@ -212,10 +215,8 @@ fn torques(robot: &Robot, run: &Run) -> Vec<Finding> {
     let limit = |j: usize| robot.limits.tau[j];
     let of = |j: usize| {
         let column = run.tau.column(j);
-        let (rms, top) = (
-            root_mean_square(column.iter().copied()),
-            quantile(column.iter().map(|tau| tau.abs()).collect(), 0.999),
-        );
+        let (rms, top) =
+            (root_mean_square(column.iter().copied()), quantile(column.iter().map(|tau| tau.abs()).collect(), 0.999));
         let state = match () {
             () if rms > MAX_TORQUE_RATIO * limit(j) => State::Fail,
             () if top > WARN_TORQUE_RATIO * limit(j) => State::Warn,
@@ -258,11 +259,16 @@ fn channels(robot: &Robot, run: &Run) -> Vec<Finding> {
     for (stem, values) in [("q", &run.q), ("tau", &run.tau)] {
         for j in 0..values.ncols() {
             let finding = Finding::new("channel", &run.name, format!("column {stem}{}", j + 1)).of_joint(j);
-            let copied = (0..j).find(|&i| values.column(i) == values.column(j) && deviation(values.column(j).as_slice()) > 0.0);
+            let copied =
+                (0..j).find(|&i| values.column(i) == values.column(j) && deviation(values.column(j).as_slice()) > 0.0);
             if let Some(i) = copied {
                 let found = format!("the same values as {stem}{} in every row", i + 1);
                 findings.push(
-                    finding.clone().measured(1.0, MAX_FROZEN_RATIO, "").state(State::Fail).says(found, format!("values of joint {} of {}", j + 1, robot.name)),
+                    finding
+                        .clone()
+                        .measured(1.0, MAX_FROZEN_RATIO, "")
+                        .state(State::Fail)
+                        .says(found, format!("values of joint {} of {}", j + 1, robot.name)),
                 );
                 continue;
             }
