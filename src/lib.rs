@@ -35,6 +35,7 @@
 #![allow(missing_docs)]
 
 mod analysis;
+pub use analysis::checks;
 pub mod atomic;
 pub mod cli;
 pub mod config;

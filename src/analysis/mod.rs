@@ -1,5 +1,6 @@
 //! From recorded runs to results: model, errors, diagnosis, comparison. Used by the offline commands and the estimator.
 
+pub mod checks;
 pub mod collector;
 pub mod diagnosis;
 pub mod excitation;

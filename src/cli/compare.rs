@@ -1,7 +1,7 @@
 //! `plumbline compare`: changes of the arm since a model was identified.
 
 use crate::analysis::split::find_and_judge;
-use crate::analysis::{diagnosis, pipeline};
+use crate::analysis::{checks, diagnosis, pipeline};
 use crate::cli::identify::recorded_data_settings;
 use crate::cli::say::say;
 use crate::dataset::{Dataset, Run};
@@ -50,6 +50,9 @@ pub fn run(options: Options) -> Result<(), Failure> {
     let settings = recorded_data_settings(&options.velocities, options.trim)?;
     let search = diagnose_settings(&options)?;
     let model = &file.model;
+    checks::is_folder(&options.out)?;
+    pipeline::check_torques(&dataset.runs.iter().collect::<Vec<_>>())?;
+    let findings = checks::checked(&options.dataset, &dataset, &robot)?;
 
     let (held, refused): (Vec<&Run>, Vec<&Run>) =
         dataset.runs.iter().partition(|run| model.valid_in(&run.data.mounting).is_ok());
@@ -116,6 +119,7 @@ pub fn run(options: Options) -> Result<(), Failure> {
         band: Band::Filtered { cutoff: settings.torque_cutoff },
         noise_floor: Rms::pooled(&errors_after).and_then(|rms| rms.noise_floor).unwrap_or_default(),
         diagnosis: Some(diagnosis),
+        checks: findings,
         identifiability,
         provenance: provenance(&file.provenance, &robot, &dataset),
         ..Report::default()

@@ -2,7 +2,7 @@
 
 use crate::analysis::diagnosis::{self, Diagnosed, Question};
 use crate::analysis::split::{Split, split};
-use crate::analysis::{pipeline, sessions};
+use crate::analysis::{checks, pipeline, sessions};
 use crate::cli::identify::{self, Outcome};
 use crate::dataset::{Dataset, Run};
 use crate::failure::Failure;
@@ -52,14 +52,17 @@ pub(super) fn diagnosed(
     let robot = Robot::load(&dataset.robot, Some(&given.dataset))?;
     dataset.expect_joints(robot.chain.len())?;
     let hash = dataset.content_hash();
-    let session = dataset.runs.iter().map(|run| run.session).min().unwrap_or(1);
-    let later = sessions::take_later(&mut dataset);
+    checks::is_folder(&given.out)?;
     let settings = identify::settings(given)?;
     let solver = identify::solver(given)?;
     let terms = match &given.terms {
         Some(_) => identify::terms(given, &robot)?,
         None => pipeline::plain_terms(&robot),
     };
+    let session = dataset.runs.iter().map(|run| run.session).min().unwrap_or(1);
+    pipeline::check_channels(&identify::to_identify(&dataset))?;
+    let findings = checks::checked(&given.dataset, &dataset, &robot)?;
+    let later = sessions::take_later(&mut dataset);
     let Split { identify, validate, mut notes } = split(&mut dataset, identify::hold_out(given)?)?;
     let identified: Vec<&Run> = identify.iter().collect();
     let structure = pipeline::structure(&robot, &identified, &terms)?;
@@ -105,6 +108,7 @@ pub(super) fn diagnosed(
         let untrusted = untrusted.iter().map(|run| run.data.name.clone());
         report.identifiability.untrusted_runs = untrusted.chain(not_valid).collect();
         report.notes.append(&mut notes);
+        report.checks = findings;
         report.diagnosis = Some(block);
         drawn
     })

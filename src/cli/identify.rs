@@ -1,10 +1,11 @@
 //! `plumbline identify`: the identification offline, from files.
 
+use crate::analysis::checks;
 use crate::analysis::pipeline::{self, Identified, Judged};
 use crate::analysis::results::report_of;
 use crate::analysis::split::{HOLD_OUT, Split, split};
 use crate::cli::say::say;
-use crate::dataset::{Dataset, Run};
+use crate::dataset::{Dataset, Role, Run};
 use crate::failure::Failure;
 use crate::process::progress;
 use crate::report::figures::{Curves, Figures};
@@ -74,7 +75,11 @@ pub fn run(options: Options) -> Result<(), Failure> {
     let settings = settings(&options)?;
     let solver = solver(&options)?;
     let terms = terms(&options, &robot)?;
-    let Split { identify, validate, notes } = split(&mut dataset, hold_out(&options)?)?;
+    let hold_out = hold_out(&options)?;
+    checks::is_folder(&options.out)?;
+    pipeline::check_channels(&to_identify(&dataset))?;
+    let findings = checks::checked(&options.dataset, &dataset, &robot)?;
+    let Split { identify, validate, notes } = split(&mut dataset, hold_out)?;
 
     let bar = progress::bar("identifying");
     bar.at(0.1, "regression");
@@ -103,8 +108,14 @@ pub fn run(options: Options) -> Result<(), Failure> {
     done.write(&options.out, |report| {
         report.identifiability.untrusted_runs = untrusted;
         report.notes = notes;
+        report.checks = findings;
         Curves::default()
     })
+}
+
+/// The runs to identify from.
+pub(super) fn to_identify(dataset: &Dataset) -> Vec<&Run> {
+    dataset.runs.iter().filter(|run| run.role == Role::Identify).collect()
 }
 
 /// A validated model from files: the result of `identify` and `diagnose`.

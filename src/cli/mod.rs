@@ -1,5 +1,6 @@
 //! The command line: one file per subcommand that reads options, calls a library function and prints the result.
 
+mod check;
 mod command;
 mod compare;
 mod diagnose;
@@ -67,6 +68,8 @@ subcommands! {
     Daemon => daemon,
     /// Run the estimator process (what the systemd service starts)
     Estimator => estimator,
+    /// Check recorded data: units, signs, columns, times, mounting, robot
+    Check => check,
     /// Identify from files, offline
     Identify => identify,
     /// Show what changed since a model was identified: payload, tilt, friction, sensors

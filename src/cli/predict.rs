@@ -1,5 +1,6 @@
 //! `plumbline predict`: computes the torques of a model along a recorded motion.
 
+use crate::analysis::checks;
 use crate::analysis::pipeline::{self, Predicted};
 use crate::cli::say::say;
 use crate::config::units::parse_mounting;
@@ -8,8 +9,9 @@ use crate::failure::Failure;
 use crate::store::ModelFile;
 use clap::Args;
 use plumbline_core::BadInput;
+use plumbline_identify::check::{self, State};
 use plumbline_identify::{Settings, TorqueUncertainty};
-use plumbline_model::{Mounting, TorqueModel};
+use plumbline_model::{Mounting, Robot, TorqueModel};
 use plumbline_model_file::models;
 use std::fmt::Write;
 use std::path::PathBuf;
@@ -45,7 +47,8 @@ pub struct Options {
 pub fn run(options: Options) -> Result<(), Failure> {
     let (file, _) = models::load(&options.model)?;
     let (model, uncertainty) = &chosen(&options, &file)?;
-    let run = motion(&options, model)?;
+    let (run, robot) = motion(&options, model, file.provenance.robot_description.as_deref())?;
+    check_motion(&options, &run, &robot)?;
     if let Err(refused) = model.valid_in(&run.data.mounting)
         && !options.force
     {
@@ -112,11 +115,21 @@ fn chosen(options: &Options, file: &ModelFile) -> Result<(TorqueModel, Option<To
 }
 
 /// The motion with its mounting: from `--mounting`, else from the dataset of the file, else from the model.
-fn motion(options: &Options, model: &TorqueModel) -> Result<Run, Failure> {
+fn motion(options: &Options, model: &TorqueModel, description: Option<&str>) -> Result<(Run, Robot), Failure> {
+    let robot = match description {
+        Some(text) => Robot::parse(&options.model.display().to_string(), text)?,
+        None => Robot::load(model.robot(), None)?,
+    };
     let folder = options.run.parent().filter(|folder| folder.join("dataset.toml").is_file());
     let of_dataset = match folder {
         Some(folder) => {
             let dataset = Dataset::read(folder)?;
+            let declared = Robot::load(&dataset.robot, Some(folder))?;
+            if declared.chain != robot.chain && !options.force {
+                let (file, found) = (folder.join("dataset.toml").display().to_string(), format!("`{}`", dataset.robot));
+                let expected = format!("`{}`, the robot of {}, or --force", robot.name, options.model.display());
+                return Err(BadInput::new(file, "key `robot`", found, expected).into());
+            }
             dataset
                 .runs
                 .into_iter()
@@ -137,5 +150,18 @@ fn motion(options: &Options, model: &TorqueModel) -> Result<Run, Failure> {
         let file = options.run.display().to_string();
         return Err(BadInput::new(file, "line 1", format!("q1..q{}", run.joints()), expected).into());
     }
-    Ok(run)
+    Ok((run, robot))
+}
+
+/// Refuses a motion that the model's robot cannot make; what is unusual is said.
+fn check_motion(options: &Options, run: &Run, robot: &Robot) -> Result<(), Failure> {
+    let folder = options.run.parent().unwrap_or(std::path::Path::new(""));
+    for finding in check::samples(robot, &run.data) {
+        match finding.state {
+            State::Fail if !options.force => return Err(checks::refusal(folder, &finding).into()),
+            State::Pass => {}
+            _ => eprintln!("plumbline: {}", crate::cli::check::line(&finding)),
+        }
+    }
+    Ok(())
 }

@@ -31,6 +31,7 @@ pub(super) fn read(path: &Path, torque: Torque) -> Result<Columns, BadInput> {
 
 /// Parses CSV text; `file` is only named in errors.
 pub(super) fn parse(file: &str, bytes: &[u8], torque: Torque) -> Result<Columns, BadInput> {
+    let bytes = text_of(file, bytes)?;
     let mut reader = ::csv::ReaderBuilder::new().trim(::csv::Trim::All).flexible(true).from_reader(bytes);
     let header: Vec<String> = match reader.headers() {
         Ok(header) => header.iter().map(str::to_string).collect(),
@@ -52,6 +53,33 @@ pub(super) fn parse(file: &str, bytes: &[u8], torque: Torque) -> Result<Columns,
         extra: layout.extra.iter().map(|&column| (header[column].clone(), columns[column].clone())).collect(),
         t: columns[layout.t].clone(),
     })
+}
+
+/// The text of a CSV file, without the mark that some programs write before it. Refuses files of another form by its name.
+fn text_of<'b>(file: &str, bytes: &'b [u8]) -> Result<&'b [u8], BadInput> {
+    let refused = |found: &str, expected: &str| Err(BadInput::new(file, "line 1", found, expected));
+    let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
+    if bytes.iter().all(u8::is_ascii_whitespace) {
+        return refused("an empty file", "a header row `t,q1,..,tau1,..`, then one row per sample; no column `t`");
+    }
+    let first = bytes.split(|byte| *byte == b'\n').next().unwrap_or_default();
+    if bytes.starts_with(b"\xff\xfe") || bytes.starts_with(b"\xfe\xff") || first.contains(&0) {
+        return refused("text in UTF-16, or no text", "a CSV file in UTF-8 (save it again as UTF-8)");
+    }
+    let count = |separator: u8| first.iter().filter(|byte| **byte == separator).count();
+    for (separator, name) in [(b';', "semicolons"), (b'\t', "tabs"), (b' ', "blanks"), (b'|', "bars")] {
+        if count(b',') == 0 && count(separator) > 1 {
+            return refused(
+                &format!("columns separated by {name}"),
+                "columns separated by commas, decimals with a point",
+            );
+        }
+    }
+    let header = String::from_utf8_lossy(first);
+    if count(b',') > 0 && header.split(',').all(|cell| cell.trim().parse::<f64>().is_ok()) {
+        return refused("numbers and no header", "a header row of column names `t,q1,..,tau1,..`");
+    }
+    Ok(bytes)
 }
 
 struct Layout {

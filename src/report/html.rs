@@ -25,6 +25,7 @@ pub(super) fn render(report: &Report, figures: &Figures) -> io::Result<String> {
         notices => notices(report),
         verdicts => verdicts(report),
         band => summary::band(report),
+        checks => checks(report),
         conditions => conditions(report),
         groups => tables(report),
         identify => fit(report),
@@ -67,6 +68,16 @@ fn cells(values: &[f64]) -> Vec<String> {
 
 fn name(file: &str) -> &str {
     file.strip_suffix(".csv").unwrap_or(file)
+}
+
+/// Rows of the data's checks.
+fn checks(report: &Report) -> Vec<Value> {
+    let row = |of: &plumbline_identify::check::Finding| {
+        let (state, check, run, place, unit) = (of.state, &of.check, name(&of.run), &of.place, &of.unit);
+        let state = Value::from(minijinja::value::Serde(state));
+        context! { state, check, run, place, value => number(of.value), limit => number(of.limit), unit }
+    };
+    report.checks.iter().map(row).collect()
 }
 
 /// Warnings about the validity of the results.

@@ -20,6 +20,7 @@ pub use timing::{IpcReport, LoopReport};
 
 use crate::atomic;
 use crate::failure::Failure;
+use plumbline_identify::check::Finding;
 use plumbline_ipc::GuestCounts;
 use plumbline_model::{Mounting, Parameter, TorqueModel};
 use serde::{Deserialize, Deserializer, Serialize};
@@ -43,6 +44,9 @@ pub struct Report {
     /// Noise of one raw sample of the measured torque, from the scatter between repetitions \[Nm\]; empty where no motion repeats. It
     /// is the lower bound of `rms_raw`.
     pub noise_floor: Vec<f64>,
+    /// Checks of the data before it was fitted; empty for a job's own recordings.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub checks: Vec<Finding>,
     /// Diagnosis of the residual; absent if not requested.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub diagnosis: Option<Diagnosis>,

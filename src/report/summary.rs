@@ -3,6 +3,8 @@
 use super::{Band, Base, CounterExperiment, LoopReport, MotionUsage, Report, Round, TermCount, Validation, diagnosis};
 use plumbline_ipc::GuestCounts;
 
+use plumbline_identify::check::{Finding, State};
+
 /// Ratio from which an RMS counts as changed. The scatter of an RMS over ten thousand samples is below 1 %.
 pub(super) const CHANGED: f64 = 0.05;
 
@@ -69,6 +71,12 @@ pub(super) fn against_floor(report: &Report, raw: &[f64]) -> Option<String> {
     (floor > 0.0 && !raw.is_empty()).then(|| format!("{:.2} of the noise floor", mean(raw) / floor))
 }
 
+/// A check of the data that did not pass.
+fn warning(finding: &Finding) -> String {
+    let Finding { check, run, place, found, expected, .. } = finding;
+    format!("warning, check `{check}`: {run}, {place}: {found}; expected {expected}")
+}
+
 /// Number of parameters, with effects counted separately.
 pub(super) fn counts(base: &Base) -> String {
     let one = |term: &TermCount| format!("{} {}", term.count, term.term.replace('-', " "));
@@ -130,6 +138,7 @@ pub(super) fn without_diagnosis(report: &Report) -> Vec<String> {
         lines.push(format!("samples: {} sent, {} received, {verdict}", ipc.sent, ipc.counters.received));
     }
     let names = |names: &[String]| names.join(", ");
+    lines.extend(report.checks.iter().filter(|finding| finding.state > State::Pass).map(warning));
     if let Some(estimator) = report.estimator.as_ref().filter(|of| of.name != "wls" || !of.settled) {
         let end = if estimator.settled { "" } else { ", whose weights did not converge" };
         lines.push(format!("estimator: {}{end}", estimator.name));

@@ -50,7 +50,9 @@ fn csv(cell: &str) -> String {
     for k in 0..40 {
         write!(text, "{}", f64::from(k) * 1e-3).unwrap();
         for column in 0..14 {
-            let value = (f64::from(k) * 0.1 + f64::from(column)).sin();
+            // Joints 4 and 6 of a Panda move on one side of zero.
+            let centre = if column == 3 { -1.6 } else { f64::from(u8::from(column == 5)) * 1.6 };
+            let value = centre + (f64::from(k) * 0.1 + f64::from(column)).sin();
             match (k, column) {
                 (10, 9) => write!(text, ",{cell}").unwrap(),
                 _ => write!(text, ",{value}").unwrap(),

@@ -3,6 +3,7 @@
 
 mod bad_input;
 mod changing_command;
+mod check_command;
 mod compare_command;
 mod config_job;
 mod dead_channels;

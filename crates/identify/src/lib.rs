@@ -12,6 +12,7 @@
 //! | nearest physically consistent parameters | [`consistency`] |
 //! | mounting and direction of gravity from torques | [`cross_check`], [`direction()`] |
 //! | plausibility of an offered model | [`plausible`] |
+//! | checks of recorded runs before they are fitted | [`check`] |
 //!
 //! ```
 //! use nalgebra::DMatrix;
@@ -43,6 +44,7 @@
 
 #![forbid(unsafe_code)]
 
+pub mod check;
 pub mod consistency;
 mod covariance;
 mod differentiate;
