@@ -44,6 +44,7 @@ fn report() -> Report {
     provenance.insert("plumbline".into(), "0.1.0".into());
     provenance.insert("dataset".into(), "3f5a".repeat(16).into());
     Report {
+        checks: Vec::new(),
         robot: "panda".into(),
         mounting: Mounting::WALL.into(),
         base: Base::new("GBS", &model),
