@@ -297,7 +297,15 @@ fn signs(of: &Declared) -> Vec<Alternative> {
         let fit = of.system.fit(&tau)?;
         let words =
             format!("a torque that drives joint {} in the direction of its positions (is its sign flipped?)", j + 1);
-        Some(Alternative { joint: Some(j), words, ..of.alternative("sign", format!("column tau{}", j + 1), &fit) })
+        // A column of the wrong sign leaves more at its own joint.
+        let own = fit.sigma[j] < MAX_SWAPPED_RATIO * of.fit.sigma[j];
+        let state = if own { State::Fail } else { State::Pass };
+        Some(Alternative {
+            state,
+            joint: Some(j),
+            words,
+            ..of.alternative("sign", format!("column tau{}", j + 1), &fit)
+        })
     };
     (0..of.tau.ncols()).filter_map(flipped).collect()
 }
@@ -361,7 +369,6 @@ fn positive(structure: &Structure, of: &Declared, explained: bool) -> Vec<Findin
         let state = match () {
             () if explained => State::Pass,
             () if of_inertia < -MIN_DEVIATIONS && of_power < -MIN_DEVIATIONS => State::Fail,
-            () if of_inertia < -MIN_DEVIATIONS || of_power < -MIN_DEVIATIONS => State::Warn,
             () => State::Pass,
         };
         let found = format!(
@@ -373,7 +380,8 @@ fn positive(structure: &Structure, of: &Declared, explained: bool) -> Vec<Findin
             j + 1
         );
         let finding = Finding::new("power", &of.run.name, format!("column tau{}", j + 1)).of_joint(j);
-        let value = -of_inertia.min(of_power);
+        // A flipped sign makes both negative; what the model lacks may make one of them so.
+        let value = -of_inertia.max(of_power);
         findings.push(finding.measured(value, MIN_DEVIATIONS, "").state(state).says(found, expected));
     }
     let mut shown = super::worst(findings);
