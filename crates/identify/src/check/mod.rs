@@ -1,6 +1,6 @@
 //! Checks of recorded runs before anything is fitted to them: units, signs, columns, times, mounting, robot.
 //!
-//! [`samples`] compares each channel with the robot's limits and with the other channels. [`dynamics`] fits the equations of motion, which are
+//! [`samples()`] compares each channel with the robot's limits and with the other channels. [`dynamics`] fits the equations of motion, which are
 //! linear in the parameters, once as declared and once for each mistake that is common (another mounting, two columns swapped, a sign, a
 //! delay), and compares what the fits leave over. No prior of the arm's masses is used.
 
