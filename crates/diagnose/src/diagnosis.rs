@@ -132,10 +132,7 @@ pub fn diagnose(input: &Input, settings: &Settings, progress: &dyn Fn(&Step)) ->
     let all = effects_of(input, &search, &selected, &withheld, &confirmed, &adequacy, &after);
     // What unseen runs do not show is no finding.
     let (hints, effects): (Vec<Effect>, Vec<Effect>) = all.into_iter().partition(|effect| effect.withheld.is_some());
-    // The residual of the delivered model.
-    let withheld_items = (0..kept.len()).rev().filter(|&item| !kept[item]);
-    let without = withheld_items.fold(selected.state.clone(), |state, item| state.without(&search.problem, item));
-    let left = if kept.contains(&true) { &without } else { &base };
+    let left = &*delivered(&search.problem, &base, &selected.state, &kept);
     let left_out = (evidence.folds().len() > 1).then(|| gates::left_out(&search.problem, &base, left));
     let facts = |joint: usize| {
         let left_out = left_out.as_ref().map_or(BeforeAfter::default(), |errors| BeforeAfter::both(errors[joint]));
@@ -166,7 +163,7 @@ pub fn diagnose(input: &Input, settings: &Settings, progress: &dyn Fn(&Step)) ->
         not_identifiable: detectable::not_identifiable(&independences),
         path: steps("the plain model", &joints, &selected.path),
         scores: scores(&selected, &effects, input.identify),
-        notes: notes(&evidence, input, effects.iter().chain(&hints), &different, &undetermined),
+        notes: notes(&evidence, input, &hints, &different, &undetermined),
         effects,
         hints,
         empirical,
@@ -190,11 +187,20 @@ pub fn diagnose(input: &Input, settings: &Settings, progress: &dyn Fn(&Step)) ->
     Ok(Outcome { diagnosis, before, after: model, residuals, curves, open })
 }
 
+/// The fit of the delivered model, whose residual is what is left: `state` with those effects that are `kept`, `base` without any.
+fn delivered<'a>(problem: &Problem, base: &'a State, state: &'a State, kept: &[bool]) -> Cow<'a, State> {
+    if !kept.contains(&true) {
+        return Cow::Borrowed(base);
+    }
+    let withheld = (0..kept.len()).rev().filter(|&item| !kept[item]);
+    withheld.fold(Cow::Borrowed(state), |state, item| Cow::Owned(state.without(problem, item)))
+}
+
 /// Remarks on what the findings were tested on, and on effects that are not delivered.
-fn notes<'a>(
+fn notes(
     evidence: &Evidence,
     input: &Input,
-    effects: impl Iterator<Item = &'a Effect>,
+    hints: &[Effect],
     disagreements: &[Disagreement],
     undetermined: &[Disagreement],
 ) -> Vec<String> {
@@ -210,10 +216,9 @@ fn notes<'a>(
         )),
         Confirmation::Full { .. } => {}
     }
-    for effect in effects {
-        if let Some(why) = &effect.withheld {
-            notes.push(format!("{} was found and is not in the delivered model: {why}", effect.place()));
-        }
+    for hint in hints {
+        let why = hint.withheld.as_deref().unwrap_or_default();
+        notes.push(format!("{} was found and is not in the delivered model: {why}", hint.place()));
     }
     notes.extend(disagreements.iter().map(|one| {
         let Disagreement { run, joint, rms, expected } = one;

@@ -33,8 +33,8 @@ use record::Record;
 /// Time before and after an event that is left out too \[s\].
 const EVENT_MARGIN_S: f64 = 0.2;
 
-/// Smallest number of periods in which events are sought. Two have no majority. The median of three is
-/// one of them, so that the scale of deviations is too small and noise is flagged as events.
+/// Smallest number of periods in which events are sought. Two have no majority. The median of three is one of them, so that the scale of
+/// deviations is too small and noise is flagged as events.
 pub const LEAST_PERIODS: usize = 4;
 
 /// A run keeps everything where more than this share of it would be left out: what fills half of it did not happen once.
