@@ -25,12 +25,14 @@ pub(super) fn repeats(run: &Run) -> Option<Finding> {
     let period = run.period?;
     let length = run.t[run.samples() - 1] - run.t[0];
     let finding = Finding::new("period", &run.name, "key `period`");
-    let declared = distance(run, period)?;
+    let joints = moving(run);
+    let distance = |lag: f64| distance(run, &joints, lag);
+    let declared = distance(period)?;
     // Periods of at least eight samples; half a run is compared with the other half.
     let (least, most) = ((8.0 * step(run)).max(0.05 * period), 0.6 * length);
     let scan = |from: f64, to: f64| {
         let at = move |k: usize| from + (to - from) * k as f64 / STEPS as f64;
-        let each = (0..=STEPS).filter_map(|k| Some((at(k), distance(run, at(k))?)));
+        let each = (0..=STEPS).filter_map(|k| Some((at(k), distance(at(k))?)));
         each.min_by(|a, b| a.1.total_cmp(&b.1))
     };
     let spacing = (most - least) / STEPS as f64;
@@ -62,27 +64,24 @@ pub(super) fn repeats(run: &Run) -> Option<Finding> {
     }
 }
 
+/// The joints that move, with their deviations.
+fn moving(run: &Run) -> Vec<(usize, f64)> {
+    let deviations: Vec<f64> = (0..run.joints()).map(|j| deviation(run.q.column(j).as_slice())).collect();
+    let least = MIN_MOTION_RATIO * deviations.iter().copied().fold(0.0, f64::max);
+    deviations.into_iter().enumerate().filter(|(_, deviation)| *deviation > least).collect()
+}
+
 /// Distance of the motion to itself `lag` later; `None` where the run is shorter.
-fn distance(run: &Run, lag: f64) -> Option<f64> {
+fn distance(run: &Run, joints: &[(usize, f64)], lag: f64) -> Option<f64> {
     let (first, last) = (run.t[0], run.t[run.samples() - 1] - lag);
     if last <= first {
         return None;
     }
     let stride = (run.samples() / PROBES).max(1);
-    let deviations: Vec<f64> = (0..run.joints()).map(|j| deviation(run.q.column(j).as_slice())).collect();
-    let least = MIN_MOTION_RATIO * deviations.iter().copied().fold(0.0, f64::max);
-    let joints: Vec<(usize, f64)> =
-        deviations.into_iter().enumerate().filter(|(_, deviation)| *deviation > least).collect();
-    let mut squares = Vec::new();
-    let mut next = 0;
-    for k in (0..run.samples()).step_by(stride) {
+    let mut squares = Vec::with_capacity(PROBES + stride);
+    for k in (0..run.samples()).step_by(stride).take_while(|&k| run.t[k] <= last) {
         let at = run.t[k] + lag;
-        if run.t[k] > last {
-            break;
-        }
-        while next + 1 < run.samples() && run.t[next] < at {
-            next += 1;
-        }
+        let next = run.t.partition_point(|t| *t < at).min(run.samples() - 1);
         let before = next.saturating_sub(1);
         let span = run.t[next] - run.t[before];
         let share = if span > 0.0 { ((at - run.t[before]) / span).clamp(0.0, 1.0) } else { 0.0 };
