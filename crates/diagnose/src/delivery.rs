@@ -3,12 +3,13 @@
 use super::acting::Acting;
 use super::errors::{self, Compared};
 use super::evidence::{Evidence, Trial};
+use super::fit::inverse;
 use super::input::{Input, Settings};
 use super::library::Candidate;
 use super::outcome::Fitted;
 use super::select::{Found, Selected};
 use super::state::State;
-use super::unseen::Unseen;
+use super::unseen::{Known, Unseen};
 use nalgebra::{DMatrix, DVector};
 use plumbline_core::parallel;
 use plumbline_identify::solve::{Estimator, Identification, identify_weighted, identify_with};
@@ -90,7 +91,12 @@ impl Delivery<'_> {
                 return Ok((after, withheld));
             }
             let unseen = Unseen::of_model(self.unseen, &after, self.unseen_without);
-            let share = unseen.explained(lacks, &DVector::from_column_slice(&after.identification.beta));
+            let known = Known {
+                theta: &DVector::from_column_slice(&after.identification.beta),
+                information: &inverse(&after.identification.covariance),
+                phi: &selected.state.fit.phi,
+            };
+            let share = unseen.explained(lacks, &unseen.update(known).0);
             for (index, why) in withheld.iter_mut().enumerate().filter(|(index, _)| kept[*index]) {
                 *why = too_little(&share, &selected.found[index], 0.0);
             }

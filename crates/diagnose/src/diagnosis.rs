@@ -25,7 +25,7 @@ use super::reference;
 use super::select::{MAX_LISTED_SCORES, Scored, Search, Selected, Step, steps};
 use super::span::Span;
 use super::state::State;
-use super::unseen::{THRESHOLD_FLOOR_RATIO, Unseen, columns_of};
+use super::unseen::{Known, THRESHOLD_FLOOR_RATIO, Unseen, columns_of};
 use plumbline_identify::solve::identify_with;
 use plumbline_identify::{EstimateError, Experiment};
 use plumbline_model::term::effect;
@@ -96,13 +96,17 @@ pub fn diagnose(input: &Input, settings: &Settings, progress: &dyn Fn(&Step)) ->
     let search = search.at(operating_point);
     let mut selected = search.finish(draft, progress);
 
-    let unseen = Evidence::of(structure.chain(), input.deciding(), settings.band);
+    let unseen = Evidence::with_noise_of(structure.chain(), input.deciding(), input.identify, settings.band);
     end_where_refuted(&search, &mut selected.state, &unseen, input);
     let selected = vetoed(&search, selected, input, &unseen);
     let (lacks, adequacy) = {
         let model = Unseen::of(&unseen, structure, input.deciding(), &selected.state, operating_point);
-        let lacks = model.lacks(&base.fit.theta);
-        let adequacy = model.explained(&lacks, &selected.state.fit.theta);
+        let updated = |state: &State| {
+            let information = search.problem.information(&state.moments, &state.fit.phi);
+            model.update(Known { theta: &state.fit.theta, information: &information, phi: &state.fit.phi }).0
+        };
+        let lacks = model.lacks(&updated(&base));
+        let adequacy = model.explained(&lacks, &updated(&selected.state));
         (lacks, adequacy)
     };
     let acting = Acting::of(structure.chain(), &selected.state, operating_point);
@@ -308,7 +312,7 @@ fn confirmation(evidence: &Evidence) -> Confirmation {
     }
 }
 
-/// Removes every effect without which the error on unseen runs does not rise. Where they are the only unseen ones the delivery withholds it instead, and
+/// Removes every effect without which unseen runs are expected no less. Where they are the only unseen ones the delivery withholds it instead, and
 /// the reason is said.
 fn vetoed(search: &Search, mut selected: Selected, input: &Input, evidence: &Evidence) -> Selected {
     if input.veto.is_empty() || input.judge.is_empty() {
@@ -324,10 +328,11 @@ fn vetoed(search: &Search, mut selected: Selected, input: &Input, evidence: &Evi
         }
         let unseen = Unseen::of(evidence, input.structure, input.veto, state, search.operating_point);
         let rest = state.without(&search.problem, item);
-        // The parameters without it, at their places among the columns with it.
-        let gone = state.range(item);
-        let theta = rest.fit.theta.clone().insert_rows(gone.start, gone.len(), 0.0);
-        if unseen.gain(&state.fit.phi, &theta, &state.fit.theta) > 0.0 {
+        let surprise = |unseen: &Unseen, own: &State| {
+            let information = search.problem.information(&own.moments, &state.fit.phi);
+            unseen.update(Known { theta: &own.fit.theta, information: &information, phi: &state.fit.phi }).1
+        };
+        if surprise(&unseen, state) < surprise(&unseen.without(state.range(item)), &rest) {
             item += 1;
             continue;
         }

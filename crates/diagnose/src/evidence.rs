@@ -122,6 +122,11 @@ impl<'a> Trial<'a> {
 impl Evidence {
     /// Of experiments of one arm, up to a frequency \[Hz\].
     pub fn of(chain: &Chain, trials: &[Trial], band: f64) -> Evidence {
+        Evidence::with_noise_of(chain, trials, trials, band)
+    }
+
+    /// The same with the noise of the recordings `known`, which the experiments themselves may be too short to tell.
+    pub fn with_noise_of(chain: &Chain, trials: &[Trial], known: &[Trial], band: f64) -> Evidence {
         let joints = chain.len();
         let free: f64 = trials
             .iter()
@@ -153,8 +158,8 @@ impl Evidence {
             let steps = trials.iter().filter_map(|trial| trial.experiment.resolution.get(joint).copied());
             steps.fold(0.0, f64::max)
         };
-        let repeats = trials.iter().all(|trial| trial.experiment.scatter.is_some());
-        let sigma = (0..joints).map(|joint| noise(trials, &folds, joint, repeats)).collect();
+        let repeats = known.iter().all(|trial| trial.experiment.scatter.is_some());
+        let sigma = (0..joints).map(|joint| noise(trials, known, &folds, joint, repeats)).collect();
         Evidence {
             joints,
             folds,
@@ -456,9 +461,9 @@ fn cells_of(joint: usize, fold: usize, of: &Fold) -> Vec<Cell> {
     cells
 }
 
-/// Standard deviation of the noise of each row of a joint: that of the mean period, from all experiments together.
-fn noise(trials: &[Trial], folds: &[Fold], joint: usize, repeats: bool) -> Vec<f64> {
-    let scatters: Vec<&Scatter> = trials.iter().filter_map(|trial| trial.experiment.scatter.as_ref()).collect();
+/// Standard deviation of the noise of each row of a joint: that of the mean period, from all experiments that are `known` together.
+fn noise(trials: &[Trial], known: &[Trial], folds: &[Fold], joint: usize, repeats: bool) -> Vec<f64> {
+    let scatters: Vec<&Scatter> = known.iter().filter_map(|trial| trial.experiment.scatter.as_ref()).collect();
     let power = NoisePower::of(&scatters, joint);
     let mut sigma = Vec::new();
     for fold in folds {

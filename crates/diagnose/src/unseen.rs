@@ -1,13 +1,14 @@
 //! Models on runs that they were not fitted to.
 
 use super::evidence::{Evidence, Trial};
-use super::fit::group;
+use super::fit::{group, inverse};
 use super::moments::Columns;
 use super::outcome::Fitted;
 use super::state::{State, mean_square};
 use nalgebra::{DMatrix, DVector};
 use plumbline_model::Structure;
 use plumbline_model::term::effect::OperatingPoint;
+use std::ops::Range;
 
 /// Smallest unmodelled RMS that counts, in units of the noise of the mean period.
 pub(super) const THRESHOLD_FLOOR_RATIO: f64 = 0.75;
@@ -17,11 +18,28 @@ pub fn columns_of(evidence: &Evidence, structure: &Structure, trials: &[Trial]) 
     Columns { m: evidence.regressor(structure, trials), r: evidence.torques(trials) }
 }
 
+fn repeats(trials: &[Trial]) -> bool {
+    trials.iter().all(|trial| trial.experiment.scatter.is_some())
+}
+
+/// What the identified runs tell of a model's parameters.
+#[derive(Clone, Copy)]
+pub struct Known<'a> {
+    /// Estimate.
+    pub theta: &'a DVector<f64>,
+    /// Its information, the inverse of its covariance; zero in directions that are not determined.
+    pub information: &'a DMatrix<f64>,
+    /// Over-dispersion of each joint and band.
+    pub phi: &'a [f64],
+}
+
 /// Torques and columns of a state on other runs than those it was fitted to.
 pub struct Unseen<'a> {
     /// The runs.
     pub evidence: &'a Evidence,
     columns: Columns,
+    /// Whether the motion of each run repeats.
+    repeats: bool,
 }
 
 impl<'a> Unseen<'a> {
@@ -39,12 +57,40 @@ impl<'a> Unseen<'a> {
                 columns.push(&evidence.columns(&*term, item.span));
             }
         }
-        Unseen { evidence, columns }
+        Unseen { evidence, columns, repeats: repeats(trials) }
     }
 
     /// With the columns of a whole model.
     pub fn of_model(evidence: &'a Evidence, fitted: &Fitted, trials: &[Trial]) -> Unseen<'a> {
-        Unseen { evidence, columns: columns_of(evidence, &fitted.structure, trials) }
+        Unseen { evidence, columns: columns_of(evidence, &fitted.structure, trials), repeats: repeats(trials) }
+    }
+
+    /// Without some of its columns.
+    pub fn without(&self, gone: Range<usize>) -> Unseen<'a> {
+        Unseen { columns: self.columns.without(gone), ..*self }
+    }
+
+    /// Parameters by the identified runs and these together, and minus twice the log of the density that the identified runs predict for these, but
+    /// for a constant: with `W` the inverse of the over-dispersion and `I` the information,
+    ///
+    ///   min_theta (r - M theta)' W (r - M theta) + (theta - theta_known)' I (theta - theta_known).
+    ///
+    /// What the identified runs leave undetermined costs nothing in it. In the error under the known parameters it may be larger than what
+    /// tells one model from another.
+    pub fn update(&self, known: Known) -> (DVector<f64>, f64) {
+        let p = known.theta.len();
+        let (mut g, mut b, mut square) = (known.information.clone(), DVector::zeros(p), 0.0);
+        for cell in self.evidence.cells() {
+            let weight = 1.0 / known.phi[group(cell.joint, cell.band)];
+            let m = self.columns.m[cell.joint].view((cell.rows.start, 0), (cell.rows.len(), p));
+            let r = self.columns.r[cell.joint].rows(cell.rows.start, cell.rows.len()) - m * known.theta;
+            g.gemm_tr(weight, &m, &m, 1.0);
+            b.gemv_tr(weight, &m, &r, 1.0);
+            square += weight * r.norm_squared();
+        }
+        let shift = inverse(&g) * &b;
+        // Errors of the inverse are squared in this form.
+        (known.theta + &shift, square - 2.0 * shift.dot(&b) + (g * &shift).dot(&shift))
     }
 
     /// Residual of a joint, divided by the noise there.
@@ -79,7 +125,7 @@ impl<'a> Unseen<'a> {
 
     /// Mean square of what a model lacks in a joint, over that of the noise; nothing where that is not known.
     fn lack(&self, joint: usize, theta: &DVector<f64>) -> Option<f64> {
-        let floor = self.evidence.floor(joint)?.powi(2);
+        let floor = self.evidence.floor(joint).filter(|_| self.repeats)?.powi(2);
         let square = mean_square(self.evidence, joint, &self.residual(joint, theta));
         Some((square - floor).max(0.0) / floor)
     }

@@ -81,7 +81,7 @@ impl<'r> Case<'r> {
             }
             let seeds: Vec<Candidate> = self.seeds.iter().map(|spec| item(spec, Span::ALL)).collect();
             let acting = Acting::of(structure.chain(), &state, search.operating_point);
-            let unseen = Evidence::of(structure.chain(), input.deciding(), settings.band);
+            let unseen = Evidence::with_noise_of(structure.chain(), input.deciding(), input.identify, settings.band);
             let delivery = Delivery {
                 input: &input,
                 unseen: &unseen,

@@ -2,6 +2,7 @@
 
 use super::*;
 use crate::evidence::BAND_EDGES_HZ;
+use crate::fit::Problem;
 use crate::synthetic::{At, FLOOR, Recorded, once, recorded, truth};
 use plumbline_identify::solve::identify;
 
@@ -31,6 +32,50 @@ fn errors_of_the_parameters_cause_the_mean_of_m_c_m_over_the_rows() {
             assert!(expected > 1e-6 && (found / expected - 1.0).abs() < 1e-9, "{found} {expected}");
         }
     });
+}
+
+#[test]
+fn an_update_is_the_fit_to_all_runs_and_its_cost_what_their_residual_grows_by() {
+    // Six trajectories, of which two are unseen, with more in joint 2 than the model has.
+    let recorded = recorded(6, 94, |at| [0.0, 2.0 * FLOOR * (5.0 * at.q[0]).sin()]);
+    let (structure, trials) = (&recorded.structure, recorded.trials());
+    let phi: Vec<f64> = (0..2 * BAND_EDGES_HZ.len()).map(|k| 1.0 + 0.1 * k as f64).collect();
+    let fitted = |chosen: &[Trial]| {
+        let evidence = Evidence::with_noise_of(structure.chain(), chosen, &trials, 16.0);
+        let problem = Problem { evidence: &evidence, prior: None };
+        let moments = columns_of(&evidence, structure, chosen).moments(&evidence);
+        let fit = problem.weighted(&moments, &|_| true, &phi);
+        let square: f64 = fit.rss.iter().zip(&phi).map(|(rss, phi)| rss / phi).sum();
+        (fit.theta.clone(), problem.information(&moments, &phi), square)
+    };
+    let (theta, information, square) = fitted(&trials[..4]);
+    let (of_all, _, square_of_all) = fitted(&trials);
+    let evidence = Evidence::with_noise_of(structure.chain(), &trials[4..], &trials, 16.0);
+    let unseen = Unseen { evidence: &evidence, columns: columns_of(&evidence, structure, &trials[4..]), repeats: true };
+    let (updated, cost) = unseen.update(Known { theta: &theta, information: &information, phi: &phi });
+    assert!((&updated - &of_all).norm() < 1e-6 * of_all.norm(), "{updated} {of_all}");
+    assert!((&theta - &of_all).norm() > 1e-4 * of_all.norm());
+    assert!((cost - (square_of_all - square)).abs() < 1e-6 * cost, "{cost} {square_of_all} {square}");
+    // Columns that are not there cost as if they had never been: two of the joints' columns are left out on both sides.
+    let fewer = unseen.without(0..1);
+    let known = theta.clone().remove_row(0);
+    let rest = information.clone().remove_row(0).remove_column(0);
+    let (updated, _) = fewer.update(Known { theta: &known, information: &rest, phi: &phi });
+    assert_eq!(updated.len() + 1, theta.len());
+}
+
+#[test]
+fn the_noise_of_a_run_that_does_not_repeat_is_that_of_the_known_runs() {
+    let (repeating, once) = (recorded(4, 95, |_| [0.0; 2]), once(20.0, 95, |_| [0.0; 2]));
+    let chain = repeating.structure.chain();
+    let own = Evidence::of(chain, &once.trials(), 16.0);
+    let known = Evidence::with_noise_of(chain, &once.trials(), &repeating.trials(), 16.0);
+    assert!(!own.repeats() && own.floor(0).is_none() && known.repeats());
+    // One period has twice the noise of the mean of four.
+    let floor = known.floor(0).unwrap();
+    assert!((floor / (2.0 * FLOOR) - 1.0).abs() < 0.1, "{floor}");
+    // What it lacks is not judged: the arm of such a run may rest.
+    of_truth(&once, |unseen, _, theta| assert_eq!(unseen.lacks(theta), [None, None]));
 }
 
 #[test]
