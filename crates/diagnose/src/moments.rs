@@ -81,7 +81,8 @@ impl Columns {
         let of = |cell: &super::evidence::Cell| {
             let m = self.m[cell.joint].rows(cell.rows.start, cell.rows.len());
             let r = self.r[cell.joint].rows(cell.rows.start, cell.rows.len());
-            Moment { g: m.tr_mul(&m), b: m.tr_mul(&r), r2: r.norm_squared(), count: cell.rows.len() }
+            // Multiplied in blocks; `tr_mul` takes a dot product for each entry.
+            Moment { g: m.transpose() * m, b: m.tr_mul(&r), r2: r.norm_squared(), count: cell.rows.len() }
         };
         let width = self.m.first().map_or(0, DMatrix::ncols);
         Moments { width, cells: evidence.cells().iter().map(of).collect() }

@@ -195,7 +195,8 @@ impl Fit {
 
 impl System {
     fn new(w: Vec<DMatrix<f64>>) -> System {
-        let gram = w.iter().map(|w| w.tr_mul(w)).collect();
+        // Multiplied in blocks; `tr_mul` takes a dot product for each entry.
+        let gram = w.iter().map(|w| w.transpose() * w).collect();
         System { w, gram }
     }
 
