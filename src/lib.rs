@@ -18,6 +18,7 @@
 //! | module | what |
 //! |---|---|
 //! | [`cli`] | one file per subcommand |
+//! | [`offline`] | identification, diagnosis, comparison, prediction, planning from files; called by `cli` and by `crates/python` |
 //! | `daemon` | the process that drives the arm and serves the torque |
 //! | `estimator` | the process that identifies models from samples |
 //! | `setup` | preparation of a job: robot, locks, plans |
@@ -46,6 +47,7 @@ mod estimator;
 mod failure;
 pub mod inclinometer;
 pub mod machine;
+pub mod offline;
 pub mod postmortem;
 mod process;
 pub mod recording;
