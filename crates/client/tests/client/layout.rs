@@ -33,4 +33,11 @@ fn a_model_with_another_number_of_the_layout_is_refused_by_name() {
     assert!(error.to_string().contains("its layout is 2, this version reads 1"), "{error}");
     assert!(is_incompatible(Some(error)));
     assert_eq!(model.status().model, 0);
+
+    // The library's own thread keeps the error.
+    let model = Model::follow(robot.as_str(), Expected::default(), TIMEOUT).unwrap();
+    for _ in 0..5 {
+        assert!(is_incompatible(model.trouble()), "{:?}", model.trouble());
+        std::thread::sleep(Duration::from_millis(10));
+    }
 }
