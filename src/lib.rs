@@ -23,6 +23,7 @@
 //! | `estimator` | the process that identifies models from samples |
 //! | `setup` | preparation of a job: robot, locks, plans |
 //! | `analysis` | from recorded runs to model, errors and diagnosis; shared by estimator and offline commands |
+//! | `relay` | torque, model and states across users of one machine |
 //! | [`config`], [`dataset`], [`store`], [`recording`] | files: jobs, recorded motions, models and plans, the last seconds before a fault |
 //! | [`report`], [`postmortem`] | report of a job; analysis of a recording |
 //! | [`inclinometer`], [`machine`], `process` | the gravity sensor; real-time fitness of the computer; log, signals and systemd |
@@ -50,6 +51,7 @@ pub mod machine;
 pub mod offline;
 pub mod postmortem;
 mod process;
+mod relay;
 pub mod recording;
 pub mod report;
 mod setup;

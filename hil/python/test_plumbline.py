@@ -263,12 +263,14 @@ def test_other_threads_run_while_something_is_computed(job):
 
 
 def test_ctrl_c_ends_a_search():
+    # A shell starts background jobs with SIGINT ignored.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     timer = threading.Timer(1.0, signal.raise_signal, [signal.SIGINT])
     timer.start()
     begin = time.monotonic()
     with pytest.raises(KeyboardInterrupt):
-        plumbline.plan("panda", seconds=300)
-    assert time.monotonic() - begin < 60
+        plumbline.plan("panda", seconds=60)
+    assert time.monotonic() - begin < 50
     # Python's own handler is in place still.
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
