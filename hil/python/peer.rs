@@ -32,7 +32,8 @@ fn expected(folder: &Path) {
         let chain = chain(robot);
         let terms = ["friction", "torque-offset", "rotor-inertia"];
         let structure = Structure::of(chain.clone(), Reduction::any_mounting(&chain), &terms).unwrap();
-        let values: Vec<_> = draw(&mut rng, structure.columns().len(), 1.0).into_iter().map(|value| (value, None)).collect();
+        let values: Vec<_> =
+            draw(&mut rng, structure.columns().len(), 1.0).into_iter().map(|value| (value, None)).collect();
         let model = TorqueModel::new(robot, structure, vec![Mounting::WALL], &values).unwrap();
         let (noise_floor, validation, provenance) = (Vec::new(), Vec::new(), Provenance::default());
         let file = ModelFile { model, noise_floor, validation, uncertainty: None, consistent: None, provenance };

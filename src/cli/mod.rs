@@ -102,7 +102,10 @@ subcommands! {
 /// Runs the command line and turns its outcome into an exit code: 0 success, 1 a failed job, 2 bad input.
 pub fn main() -> ExitCode {
     let cli = Cli::parse();
-    let logs = matches!(cli.subcommand, Subcommand::Run(_) | Subcommand::Daemon(_) | Subcommand::Estimator(_) | Subcommand::Relay(_));
+    let logs = matches!(
+        cli.subcommand,
+        Subcommand::Run(_) | Subcommand::Daemon(_) | Subcommand::Estimator(_) | Subcommand::Relay(_)
+    );
     journal::start(logs);
     let outcome = cli.subcommand.run();
     journal::finish(outcome.as_ref().err().map(|failure| failure as &dyn std::fmt::Display));

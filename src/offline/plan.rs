@@ -128,7 +128,8 @@ pub fn plan(
     };
     let mut done: Vec<Fourier> = Vec::new();
     for number in 1..=options.trajectories {
-        let plan = options.search_one(&task, &Search { seed: search.seed + (number - 1), ..search.clone() }, &done, stop)?;
+        let plan =
+            options.search_one(&task, &Search { seed: search.seed + (number - 1), ..search.clone() }, &done, stop)?;
         done.push(motion(&plan)?);
         let stacked = || task.with_problem(|problem| plumbline_excite::stacked_conditions(problem, &done));
         let together = (done.len() > 1).then(stacked);

@@ -88,7 +88,9 @@ fn relay(robot: &RobotId, mut stream: &UnixStream, frames: &Receiver<io::Result<
                 Err(TryRecvError::Disconnected) => return "the connection has ended".into(),
             }
         }
-        server.poll(|_, _| Response::Refused { reason: "a relay passes no requests: only the daemon's user commands the arm".into() });
+        server.poll(|_, _| Response::Refused {
+            reason: "a relay passes no requests: only the daemon's user commands the arm".into(),
+        });
         let deliveries = match guest.receive() {
             Ok(deliveries) => deliveries,
             Err(error) => return error.to_string(),

@@ -36,6 +36,7 @@ const ALIVE: Duration = Duration::from_millis(100);
 const GONE: Duration = Duration::from_secs(2);
 
 /// What the two ends send.
+#[allow(clippy::large_enum_variant, reason = "most frames are the largest")]
 #[derive(Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 enum Frame {
@@ -55,7 +56,8 @@ enum Frame {
 fn write(to: &mut impl Write, frame: &Frame) -> io::Result<()> {
     let text = serde_json::to_vec(frame).map_err(io::Error::other)?;
     let length = u32::try_from(text.len()).ok().filter(|length| *length <= MAX_FRAME_BYTES);
-    let length = length.ok_or_else(|| io::Error::other(format!("a frame has {} bytes, the limit is {MAX_FRAME_BYTES}", text.len())))?;
+    let length = length
+        .ok_or_else(|| io::Error::other(format!("a frame has {} bytes, the limit is {MAX_FRAME_BYTES}", text.len())))?;
     let mut bytes = length.to_le_bytes().to_vec();
     bytes.extend(text);
     to.write_all(&bytes)

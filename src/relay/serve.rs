@@ -3,9 +3,7 @@
 use super::{ALIVE, Frame, GONE, INTERVAL, read, socket, write};
 use crate::failure::Failure;
 use crate::process::signals::Ending;
-use plumbline_ipc::{
-    FeedForwardClient, FeedForwardSettings, GuestPublisher, IpcError, ModelClient, Presence, RobotId,
-};
+use plumbline_ipc::{FeedForwardClient, FeedForwardSettings, GuestPublisher, IpcError, ModelClient, Presence, RobotId};
 use std::fs::{self, Permissions};
 use std::io;
 use std::net::Shutdown;
@@ -143,7 +141,6 @@ fn publish(robot: &RobotId, mut stream: &UnixStream) -> String {
         // The service has one publisher, which the first state takes. Numbers start again with the user's next publisher, and with one here.
         if publisher.as_ref().is_none_or(|(of, _)| *of != epoch) {
             drop(publisher.take());
-            publisher = None;
             match GuestPublisher::open(robot) {
                 Ok(opened) => publisher = Some((epoch, opened)),
                 Err(error) => return error.to_string(),

@@ -23,8 +23,13 @@ const WARNINGS: [&str; 5] = ["-Wall", "-Wextra", "-Werror", "-pedantic", "-O2"];
 #[test]
 fn the_header_is_what_cbindgen_makes() {
     let here = Path::new(HERE);
-    let made =
-        Command::new("cbindgen").arg("--config").arg(here.join("cbindgen.toml")).arg("--crate").arg("plumbline-client-c").arg(here).output();
+    let made = Command::new("cbindgen")
+        .arg("--config")
+        .arg(here.join("cbindgen.toml"))
+        .arg("--crate")
+        .arg("plumbline-client-c")
+        .arg(here)
+        .output();
     let made = match made {
         Ok(made) => made,
         Err(error) => return eprintln!("SKIPPED: cbindgen (cargo install --locked cbindgen): {error}"),
@@ -348,7 +353,8 @@ fn messages_of_another_layout_are_refused_by_name() {
     };
     let types = prints(Other::Types);
     for what in ["follow", "feed-forward", "guest"] {
-        let line = types.lines().find(|line| line.starts_with(&format!("{what} 22 "))).unwrap_or_else(|| panic!("{types}"));
+        let line =
+            types.lines().find(|line| line.starts_with(&format!("{what} 22 "))).unwrap_or_else(|| panic!("{types}"));
         assert!(line.contains("exists with other types or sizes than this version of plumbline uses"), "{line}");
     }
     let number = prints(Other::Number);

@@ -64,7 +64,11 @@ impl States {
             let (n, size) = (self.n.max(1), size.max(1));
             for (row, to) in result.chunks_exact_mut(size).enumerate() {
                 state.clear();
-                state.extend(self.arrays.iter().map(|array| &array[(row * n).min(array.len())..((row + 1) * n).min(array.len())]));
+                state.extend(
+                    self.arrays
+                        .iter()
+                        .map(|array| &array[(row * n).min(array.len())..((row + 1) * n).min(array.len())]),
+                );
                 call(&mut value, &state, to).map_err(|fault| (row, fault))?;
             }
             Ok(())

@@ -110,7 +110,10 @@ impl Torque {
         let tau: Vec<String> = message.torque().iter().map(|tau| format!("{tau:.4}")).collect();
         let (validity, model) = (self.validity(), message.model);
         let sequence = message.sequence;
-        format!("Torque(sequence={sequence}, age={age:.6}, model={model:#018x}, validity='{validity}', tau=[{}])", tau.join(", "))
+        format!(
+            "Torque(sequence={sequence}, age={age:.6}, model={model:#018x}, validity='{validity}', tau=[{}])",
+            tau.join(", ")
+        )
     }
 }
 

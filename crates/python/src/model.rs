@@ -133,9 +133,12 @@ impl Model {
         gravity: Option<&Bound<'py, PyAny>>,
     ) -> Array<'py> {
         let gravity = gravity.map(|gravity| vector("gravity", gravity)).transpose()?;
-        self.at(py, &[("q", q), ("dq", dq), ("ddq", ddq)], |n, _| vec![n], move |model, state, tau| {
-            model.torque(state[0], state[1], state[2], gravity, tau)
-        })
+        self.at(
+            py,
+            &[("q", q), ("dq", dq), ("ddq", ddq)],
+            |n, _| vec![n],
+            move |model, state, tau| model.torque(state[0], state[1], state[2], gravity, tau),
+        )
     }
 
     /// Torque of gravity on links and payload at rest at `q` [Nm].
@@ -145,9 +148,12 @@ impl Model {
 
     /// Centrifugal and Coriolis torques [Nm].
     fn coriolis<'py>(&self, py: Python<'py>, q: &Bound<'py, PyAny>, dq: &Bound<'py, PyAny>) -> Array<'py> {
-        self.at(py, &[("q", q), ("dq", dq)], |n, _| vec![n], |model, state, tau| {
-            model.coriolis(state[0], state[1], tau)
-        })
+        self.at(
+            py,
+            &[("q", q), ("dq", dq)],
+            |n, _| vec![n],
+            |model, state, tau| model.coriolis(state[0], state[1], tau),
+        )
     }
 
     /// Viscous and Coulomb friction [Nm].
@@ -169,16 +175,21 @@ impl Model {
         ddq: &Bound<'py, PyAny>,
     ) -> Array<'py> {
         let mut columns = Vec::new();
-        self.at(py, &[("q", q), ("dq", dq), ("ddq", ddq)], |n, p| vec![n, p], move |model, state, y| {
-            columns.resize(y.len(), 0.0);
-            model.regressor(state[0], state[1], state[2], &mut columns)?;
-            let n = state[0].len();
-            let p = y.len() / n.max(1);
-            for (j, row) in y.chunks_exact_mut(p.max(1)).enumerate() {
-                row.iter_mut().enumerate().for_each(|(c, value)| *value = columns[c * n + j]);
-            }
-            Ok(())
-        })
+        self.at(
+            py,
+            &[("q", q), ("dq", dq), ("ddq", ddq)],
+            |n, p| vec![n, p],
+            move |model, state, y| {
+                columns.resize(y.len(), 0.0);
+                model.regressor(state[0], state[1], state[2], &mut columns)?;
+                let n = state[0].len();
+                let p = y.len() / n.max(1);
+                for (j, row) in y.chunks_exact_mut(p.max(1)).enumerate() {
+                    row.iter_mut().enumerate().for_each(|(c, value)| *value = columns[c * n + j]);
+                }
+                Ok(())
+            },
+        )
     }
 
     /// Standard deviation of the torque by the covariance of the parameters [Nm].
@@ -189,15 +200,22 @@ impl Model {
         dq: &Bound<'py, PyAny>,
         ddq: &Bound<'py, PyAny>,
     ) -> Array<'py> {
-        self.at(py, &[("q", q), ("dq", dq), ("ddq", ddq)], |n, _| vec![n], |model, state, std| {
-            model.torque_std(state[0], state[1], state[2], std)
-        })
+        self.at(
+            py,
+            &[("q", q), ("dq", dq), ("ddq", ddq)],
+            |n, _| vec![n],
+            |model, state, std| model.torque_std(state[0], state[1], state[2], std),
+        )
     }
 }
 
 impl Model {
     /// Number of joints, and a shape from the numbers of joints and columns.
-    fn sized(&self, py: Python<'_>, shape: impl FnOnce(usize, usize) -> Vec<usize> + Send) -> PyResult<(usize, Vec<usize>)> {
+    fn sized(
+        &self,
+        py: Python<'_>,
+        shape: impl FnOnce(usize, usize) -> Vec<usize> + Send,
+    ) -> PyResult<(usize, Vec<usize>)> {
         let sizes = py.detach(move || {
             let mut model = locked(&self.0);
             let n = model.joints()?;

@@ -134,7 +134,7 @@ impl Motion {
     /// The motion of a plan file.
     #[staticmethod]
     fn load(py: Python<'_>, path: PathBuf) -> PyResult<Motion> {
-        released(py, || Ok(Motion::new(load_plan(&path)?, false)?))
+        released(py, || Motion::new(load_plan(&path)?, false))
     }
 
     /// Writes a plan file.
@@ -163,7 +163,8 @@ impl Motion {
 
     /// Positions [rad], velocities [rad/s] and accelerations [rad/s2] at times `t` [s], one row per time.
     fn at<'py>(&self, py: Python<'py>, t: &Bound<'py, PyAny>) -> PyResult<[Bound<'py, PyArray2<f64>>; 3]> {
-        let states = crate::arrays::States::of(&[("t", t)]).map_err(|_| PyTypeError::new_err("t is an array of times"))?;
+        let states =
+            crate::arrays::States::of(&[("t", t)]).map_err(|_| PyTypeError::new_err("t is an array of times"))?;
         let [t] = states.one()?;
         let n = self.fourier.joints();
         let points: Vec<_> = t.iter().flat_map(|&t| (0..n).map(move |j| self.fourier.at(j, t))).collect();

@@ -1,8 +1,6 @@
 //! A daemon of another version.
 
-use plumbline_client::{
-    Error, Expected, FeedForwardClient, FeedForwardSettings, Follower, Guest, IpcError, Model,
-};
+use plumbline_client::{Error, Expected, FeedForwardClient, FeedForwardSettings, Follower, Guest, IpcError, Model};
 use plumbline_testkit::memory::*;
 use plumbline_testkit::other_layout::{Other, OtherDaemon};
 use std::time::Duration;
