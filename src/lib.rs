@@ -18,10 +18,12 @@
 //! | module | what |
 //! |---|---|
 //! | [`cli`] | one file per subcommand |
+//! | [`offline`] | identification, diagnosis, comparison, prediction, planning from files; called by `cli` and by `crates/python` |
 //! | `daemon` | the process that drives the arm and serves the torque |
 //! | `estimator` | the process that identifies models from samples |
 //! | `setup` | preparation of a job: robot, locks, plans |
 //! | `analysis` | from recorded runs to model, errors and diagnosis; shared by estimator and offline commands |
+//! | `relay` | torque, model and states across users of one machine |
 //! | [`config`], [`dataset`], [`store`], [`recording`] | files: jobs, recorded motions, models and plans, the last seconds before a fault |
 //! | [`report`], [`postmortem`] | report of a job; analysis of a recording |
 //! | [`inclinometer`], [`machine`], `process` | the gravity sensor; real-time fitness of the computer; log, signals and systemd |
@@ -46,9 +48,11 @@ mod estimator;
 mod failure;
 pub mod inclinometer;
 pub mod machine;
+pub mod offline;
 pub mod postmortem;
 mod process;
 pub mod recording;
+mod relay;
 pub mod report;
 mod setup;
 pub mod store;

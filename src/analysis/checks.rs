@@ -54,6 +54,13 @@ pub fn refusal(folder: &Path, finding: &Finding) -> BadInput {
     BadInput::new(file, format!("{} ({})", finding.place, finding.check), &finding.found, finding.expected.clone())
 }
 
+/// A finding in one line.
+pub fn line(finding: &Finding) -> String {
+    let state = if finding.state == State::Fail { "FAIL" } else { "warn" };
+    let Finding { check, run, place, found, expected, .. } = finding;
+    format!("{state} {check}: {run}, {place}: {found}; expected {expected}")
+}
+
 /// Refuses a folder of results that is a file.
 pub fn is_folder(out: &Path) -> Result<(), BadInput> {
     if out.is_file() {

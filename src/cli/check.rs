@@ -5,7 +5,7 @@ use crate::cli::say::say;
 use crate::dataset::Dataset;
 use crate::failure::Failure;
 use clap::Args;
-use plumbline_identify::check::{Finding, State};
+use plumbline_identify::check::State;
 use plumbline_model::Robot;
 use std::path::PathBuf;
 
@@ -23,7 +23,7 @@ pub fn run(options: Options) -> Result<(), Failure> {
     dataset.expect_joints(robot.chain.len())?;
     let findings = checks::findings(&dataset, &robot);
     for finding in findings.iter().filter(|finding| finding.state > State::Pass) {
-        say!("{}", line(finding));
+        say!("{}", checks::line(finding));
     }
     let mut names: Vec<&str> = findings.iter().map(|finding| finding.check.as_str()).collect();
     names.sort_unstable();
@@ -32,11 +32,4 @@ pub fn run(options: Options) -> Result<(), Failure> {
     let (passed, warned, failed) = (count(State::Pass), count(State::Warn), count(State::Fail));
     say!("{} runs, checks {}: {passed} passed, {warned} warned, {failed} failed", dataset.runs.len(), names.join(", "));
     checks::checked_findings(&options.dataset, findings).map(|_| ()).map_err(Failure::from)
-}
-
-/// A finding in one line.
-pub(super) fn line(finding: &Finding) -> String {
-    let state = if finding.state == State::Fail { "FAIL" } else { "warn" };
-    let Finding { check, run, place, found, expected, .. } = finding;
-    format!("{state} {check}: {run}, {place}: {found}; expected {expected}")
 }

@@ -13,6 +13,7 @@ mod next;
 mod plan;
 mod postmortem;
 mod predict;
+mod relay;
 mod run;
 mod say;
 mod torque;
@@ -90,6 +91,8 @@ subcommands! {
     Effects => effects,
     /// Print the feed-forward torque that a daemon serves
     Torque => torque,
+    /// Pass torque, model and states to and from other users of this machine
+    Relay => relay,
     /// Print the readings of a job's inclinometer
     Inclinometer => inclinometer,
     /// Send a request to a running daemon: start, stop, resume, quit, status, ...
@@ -99,7 +102,10 @@ subcommands! {
 /// Runs the command line and turns its outcome into an exit code: 0 success, 1 a failed job, 2 bad input.
 pub fn main() -> ExitCode {
     let cli = Cli::parse();
-    let logs = matches!(cli.subcommand, Subcommand::Run(_) | Subcommand::Daemon(_) | Subcommand::Estimator(_));
+    let logs = matches!(
+        cli.subcommand,
+        Subcommand::Run(_) | Subcommand::Daemon(_) | Subcommand::Estimator(_) | Subcommand::Relay(_)
+    );
     journal::start(logs);
     let outcome = cli.subcommand.run();
     journal::finish(outcome.as_ref().err().map(|failure| failure as &dyn std::fmt::Display));

@@ -1,9 +1,9 @@
 //! `plumbline next`: a diagnosis, and the motion that would answer what it leaves open.
 
 use crate::analysis::next::{self, next};
-use crate::cli::diagnose;
-use crate::cli::say::say;
+use crate::cli::say::{say, say_report};
 use crate::failure::Failure;
+use crate::offline::diagnose;
 use crate::process::signals::Ending;
 use crate::setup::planner::{Room, Task, no_plan};
 use crate::store::save_plan;
@@ -45,7 +45,7 @@ pub fn run(options: Options) -> Result<(), Failure> {
     crate::atomic::remove_file(&path).map_err(Failure::job)?;
     let ending = Ending::interrupts()?;
     let mut planned = None;
-    diagnose::diagnosed(&options.diagnose, |open, block, robot, mounting| {
+    let report = diagnose::diagnose_and_plan(&options.diagnose, |open, block, robot, mounting| {
         if open.questions().len() == 0 {
             return Ok(());
         }
@@ -66,6 +66,7 @@ pub fn run(options: Options) -> Result<(), Failure> {
         planned = Some(plan);
         Ok(())
     })?;
+    say_report(&report, options.diagnose.out());
     match planned {
         None => say!("nothing is left open: no motion is planned"),
         Some(None) => say!("no motion within the robot's limits is expected to answer what is open"),

@@ -7,6 +7,7 @@ mod guest;
 mod inclinometer_daemon;
 mod kill_campaign;
 mod orders;
+mod relay;
 mod rt_rights;
 mod service;
 mod signals;

@@ -94,7 +94,8 @@ fn a_held_lock_is_a_failed_job_and_no_bad_input() {
     let second = Done::of(place.job("daemon", &short(&LONG_ON_CLOCK))).expect_code(1);
     assert!(second.err.contains(&format!("process {}", daemon.pid())), "{}", second.output());
     place.quit(daemon);
-    for unit in ["systemd/plumbline.service", "systemd/plumbline-estimator.service"] {
+    for unit in ["systemd/plumbline.service", "systemd/plumbline-estimator.service", "systemd/plumbline-relay@.service"]
+    {
         let unit = std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join(unit)).unwrap();
         assert!(unit.contains("Restart=on-failure\n") && unit.contains("RestartPreventExitStatus=2\n"), "{unit}");
     }

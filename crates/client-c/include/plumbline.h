@@ -26,6 +26,8 @@ typedef enum PlumblineCode {
   PLUMBLINE_NO_UNCERTAINTY = 7,
   // The queue of samples is full: the sample is lost, and counted.
   PLUMBLINE_QUEUE_FULL = 8,
+  // No torque of the daemon has arrived yet.
+  PLUMBLINE_NO_VALUE = 9,
   // A file or a name that can't be used.
   PLUMBLINE_INPUT = 20,
   // No daemon serves the robot.
@@ -52,6 +54,9 @@ typedef enum PlumblineCode {
   PLUMBLINE_PANIC = 31,
 } PlumblineCode;
 
+// Client of the feed-forward torque of the daemon's own motion.
+typedef struct PlumblineFeedForward PlumblineFeedForward;
+
 // Publisher of the states of an arm that the caller controls.
 typedef struct PlumblineGuest PlumblineGuest;
 
@@ -67,6 +72,38 @@ typedef struct PlumblineStatus {
   // 0 none served yet, 1 valid, 3 withdrawn, 4 contradicted by the measured torques.
   uint32_t validity;
 } PlumblineStatus;
+
+// Feed-forward torque of the daemon's own motion in one cycle. Entries past the number of joints are zero.
+typedef struct PlumblineTorque {
+  // Number of the value since the daemon's start, from 1.
+  uint64_t sequence;
+  // Identity of the daemon's start.
+  uint64_t epoch;
+  // Identity of the served model, 0 for none.
+  uint64_t model;
+  // Time from the arm's state to this call [ns].
+  uint64_t age_ns;
+  // Number of joints.
+  uint32_t n;
+  // 0 none served yet, 1 valid, 2 on its way to the model's torque, 3 withdrawn, 4 contradicted by the measured torques.
+  uint32_t validity;
+  // 0 hold, 1 approach, 2 excite, 3 return, 4 stop, 5 stopped.
+  uint32_t phase;
+  // 1 where the torque may be used: a model is served, and the value is no older than the limit of plumbline_feed_forward_open. Else 0.
+  uint32_t usable;
+  // Desired position [rad].
+  double q_d[8];
+  // Desired velocity [rad/s].
+  double dq_d[8];
+  // Feed-forward torque [Nm].
+  double tau[8];
+  // Part of it that the arm's own controller adds [Nm]: send tau - tau_vendor.
+  double tau_vendor[8];
+  // Gravitational acceleration in the base frame [m/s2].
+  double gravity[3];
+  // Gravitational acceleration that the arm's own controller compensates [m/s2].
+  double gravity_vendor[3];
+} PlumblineTorque;
 
 #ifdef __cplusplus
 extern "C" {
@@ -209,6 +246,35 @@ uint64_t plumbline_guest_lost(const struct PlumblineGuest *guest);
 // # Safety
 // `guest` is null or from this library, and not used afterwards.
 void plumbline_guest_free(struct PlumblineGuest *guest);
+
+// Connects to the daemon of `robot`, waiting up to `timeout_s` seconds for it. A value older than `stale_after_ms` is not usable.
+//
+// # Safety
+// `robot` ends with a zero, `feed_forward` may be written to; either may be null.
+enum PlumblineCode plumbline_feed_forward_open(const char *robot,
+                                               uint64_t stale_after_ms,
+                                               double timeout_s,
+                                               struct PlumblineFeedForward **feed_forward);
+
+// The latest value with its present age; PLUMBLINE_NO_VALUE before the first. The same value is returned until a newer one arrives. The first call
+// after the daemon's start maps memory; later ones read it.
+//
+// # Safety
+// `feed_forward` is null or from this library, `torque` is null or may be written to.
+enum PlumblineCode plumbline_feed_forward_latest(struct PlumblineFeedForward *feed_forward,
+                                                 struct PlumblineTorque *torque);
+
+// PLUMBLINE_OK while the daemon's process runs, else PLUMBLINE_DAEMON_GONE. Reads files: not for the control loop.
+//
+// # Safety
+// `feed_forward` is null or from this library.
+enum PlumblineCode plumbline_feed_forward_daemon(const struct PlumblineFeedForward *feed_forward);
+
+// Frees a client; null is allowed.
+//
+// # Safety
+// `feed_forward` is null or from this library, and not used afterwards.
+void plumbline_feed_forward_free(struct PlumblineFeedForward *feed_forward);
 
 #ifdef __cplusplus
 }  // extern "C"

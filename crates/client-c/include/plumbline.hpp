@@ -125,6 +125,31 @@ private:
     std::unique_ptr<PlumblineGuest, Free> guest_;
 };
 
+// Client of the feed-forward torque of the daemon's own motion.
+class FeedForward {
+public:
+    explicit FeedForward(const std::string &robot, uint64_t stale_after_ms = 5, double timeout_s = 5.0) {
+        PlumblineFeedForward *feed_forward = nullptr;
+        check(plumbline_feed_forward_open(robot.c_str(), stale_after_ms, timeout_s, &feed_forward));
+        feed_forward_.reset(feed_forward);
+    }
+
+    // The latest value with its present age; PLUMBLINE_NO_VALUE before the first.
+    PlumblineCode latest(PlumblineTorque &torque) noexcept {
+        return plumbline_feed_forward_latest(feed_forward_.get(), &torque);
+    }
+
+    // Whether the daemon's process runs. Reads files.
+    bool running() const noexcept { return plumbline_feed_forward_daemon(feed_forward_.get()) == PLUMBLINE_OK; }
+
+private:
+    struct Free {
+        void operator()(PlumblineFeedForward *feed_forward) const noexcept { plumbline_feed_forward_free(feed_forward); }
+    };
+
+    std::unique_ptr<PlumblineFeedForward, Free> feed_forward_;
+};
+
 } // namespace plumbline
 
 #endif

@@ -6,6 +6,10 @@
 #![allow(unsafe_code)]
 #![allow(non_camel_case_types, reason = "names of the C interface")]
 
+mod feed_forward;
+
+pub use feed_forward::{PlumblineFeedForward, PlumblineTorque};
+
 use plumbline_client::{Error, Expected, Fault, Guest, IpcError, Model};
 use std::cell::RefCell;
 use std::ffi::{CStr, CString, c_char};
@@ -36,6 +40,8 @@ pub enum PlumblineCode {
     PLUMBLINE_NO_UNCERTAINTY = 7,
     /// The queue of samples is full: the sample is lost, and counted.
     PLUMBLINE_QUEUE_FULL = 8,
+    /// No torque of the daemon has arrived yet.
+    PLUMBLINE_NO_VALUE = 9,
     /// A file or a name that can't be used.
     PLUMBLINE_INPUT = 20,
     /// No daemon serves the robot.
@@ -157,7 +163,7 @@ unsafe fn give<T>(out: *mut *mut T, made: Result<T, Error>) -> PlumblineCode {
 }
 
 /// Texts of the codes.
-const TEXTS: [(PlumblineCode, &CStr); 21] = [
+const TEXTS: [(PlumblineCode, &CStr); 22] = [
     (PLUMBLINE_OK, c"success"),
     (PLUMBLINE_ARGUMENT, c"a pointer is null, or a text is not UTF-8"),
     (PLUMBLINE_NO_MODEL, c"no model has been received yet"),
@@ -167,6 +173,7 @@ const TEXTS: [(PlumblineCode, &CStr); 21] = [
     (PLUMBLINE_MOUNTING, c"the model is not valid under this gravity"),
     (PLUMBLINE_NO_UNCERTAINTY, c"the model file has no [uncertainty]"),
     (PLUMBLINE_QUEUE_FULL, c"the queue of samples is full: the sample is lost"),
+    (PLUMBLINE_NO_VALUE, c"no torque of the daemon has been received yet"),
     (PLUMBLINE_INPUT, c"a file or a name that can't be used"),
     (PLUMBLINE_NO_DAEMON, c"no daemon serves the robot"),
     (PLUMBLINE_LAYOUT, c"the daemon's messages have another layout"),

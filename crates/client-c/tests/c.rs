@@ -2,16 +2,18 @@
 
 use plumbline_client::Model;
 use plumbline_core::Validity;
-use plumbline_ipc::{GuestDelivery, GuestReceiver, ModelClient, ModelHeader, ServerSettings};
+use plumbline_ipc::{FeedForwardMessage, GuestDelivery, GuestReceiver, ModelClient, ModelHeader, ServerSettings};
 use plumbline_model::{Mounting, Reduction, Robot, Structure, TorqueModel};
 use plumbline_model_file::{ModelFile, Provenance, model_identity};
 use plumbline_testkit::arms::{chain, draw};
 use plumbline_testkit::memory::*;
+use plumbline_testkit::other_layout::{Other, OtherDaemon};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
+use std::sync::LazyLock;
 
 const WALL: [f64; 3] = [9.81, 0.0, 0.0];
 const HERE: &str = env!("CARGO_MANIFEST_DIR");
@@ -21,8 +23,13 @@ const WARNINGS: [&str; 5] = ["-Wall", "-Wextra", "-Werror", "-pedantic", "-O2"];
 #[test]
 fn the_header_is_what_cbindgen_makes() {
     let here = Path::new(HERE);
-    let made =
-        Command::new("cbindgen").arg("--config").arg(here.join("cbindgen.toml")).arg(here.join("src/lib.rs")).output();
+    let made = Command::new("cbindgen")
+        .arg("--config")
+        .arg(here.join("cbindgen.toml"))
+        .arg("--crate")
+        .arg("plumbline-client-c")
+        .arg(here)
+        .output();
     let made = match made {
         Ok(made) => made,
         Err(error) => return eprintln!("SKIPPED: cbindgen (cargo install --locked cbindgen): {error}"),
@@ -49,7 +56,8 @@ fn the_header_has_every_function_and_code() {
         let lines = text.lines().filter(|line| !line.trim_start().starts_with("//"));
         lines.map(|line| format!("{line}\n")).collect::<String>()
     };
-    let (source, header) = (code(read("src/lib.rs")), code(read("include/plumbline.h")));
+    let source = code(read("src/lib.rs") + &read("src/feed_forward.rs"));
+    let header = code(read("include/plumbline.h"));
     let mut known = names(&source, "plumbline_");
     // The crate that it wraps.
     known.remove("plumbline_client");
@@ -66,18 +74,41 @@ fn library() -> PathBuf {
     folders.expect("libplumbline_c.so is built with this test").to_path_buf()
 }
 
+/// The installed library; the folder is a temporary one.
+static INSTALLED: LazyLock<tempfile::TempDir> = LazyLock::new(|| {
+    let folder = tempfile::tempdir().unwrap();
+    let script = Path::new(HERE).join("install.sh");
+    succeed(Command::new(script).arg("--library").arg(library()).arg(folder.path()));
+    folder
+});
+
+/// What a command prints; it succeeds.
+#[track_caller]
+fn succeed(command: &mut Command) -> String {
+    let done = command.output().unwrap();
+    assert!(done.status.success(), "{command:?}: {}", String::from_utf8_lossy(&done.stderr));
+    String::from_utf8(done.stdout).unwrap()
+}
+
+/// Whether a program can be run; says SKIPPED where it can't.
+fn found(program: &str) -> bool {
+    let found = Command::new(program).arg("--version").output();
+    if let Err(error) = &found {
+        eprintln!("SKIPPED: {program}: {error}");
+    }
+    found.is_ok()
+}
+
 /// Compiles a program; `None` where the compiler is missing.
 fn compile(compiler: &str, standard: &str, source: &Path, more: &[&str], out: PathBuf) -> Option<PathBuf> {
-    if let Err(error) = Command::new(compiler).arg("--version").output() {
-        eprintln!("SKIPPED: {compiler}: {error}");
+    if !found(compiler) {
         return None;
     }
-    let library = library();
+    let (include, library) = (INSTALLED.path().join("include"), INSTALLED.path().join("lib"));
     let mut command = Command::new(compiler);
-    command.arg(format!("-std={standard}")).args(WARNINGS).args(more).arg("-I").arg(Path::new(HERE).join("include"));
+    command.arg(format!("-std={standard}")).args(WARNINGS).args(more).arg("-I").arg(include);
     command.arg(source).arg("-L").arg(&library).arg(format!("-Wl,-rpath,{}", library.display()));
-    let done = command.args(["-lplumbline_c", "-lm", "-o"]).arg(&out).output().unwrap();
-    assert!(done.status.success(), "{}: {}", source.display(), String::from_utf8_lossy(&done.stderr));
+    succeed(command.args(["-lplumbline", "-lm", "-o"]).arg(&out));
     Some(out)
 }
 
@@ -215,4 +246,117 @@ fn the_examples_run_and_print_the_models_torque() {
         assert_eq!(samples[0].tau[..7], zero);
         daemon.stop();
     }
+}
+
+/// Text of a file of packaging.
+fn packaging(file: &str) -> String {
+    std::fs::read_to_string(Path::new(HERE).join("packaging").join(file)).unwrap()
+}
+
+#[test]
+fn an_example_is_built_against_the_installed_library_with_pkg_config_and_with_cmake() {
+    assert!(packaging("plumbline.pc").contains(concat!("Version: ", env!("CARGO_PKG_VERSION"), "\n")));
+    let version = concat!("set(PACKAGE_VERSION \"", env!("CARGO_PKG_VERSION"), "\")");
+    assert!(packaging("plumblineConfigVersion.cmake").contains(version));
+    let folder = tempfile::tempdir().unwrap();
+    let model = folder.path().join("model.toml");
+    std::fs::write(&model, text("panda")).unwrap();
+    let (prefix, source) = (INSTALLED.path(), plumbline_testkit::path("examples/clients/c/torque_loop.c"));
+    let prints = |program: &Path| numbers(&run(program, &[model.to_str().unwrap()], &[]));
+    let mut printed = Vec::new();
+    if found("pkg-config") && found("gcc") {
+        for (name, kind) in [("shared", &[][..]), ("static", &["--static"][..])] {
+            let mut flags = Command::new("pkg-config");
+            flags.env("PKG_CONFIG_PATH", prefix.join("lib/pkgconfig")).args(kind);
+            let mut flags = succeed(flags.args(["--cflags", "--libs", "plumbline"]));
+            if name == "static" {
+                flags = flags.replace("-lplumbline", "-l:libplumbline.a");
+            }
+            let program = folder.path().join(name);
+            let mut gcc = Command::new("gcc");
+            succeed(gcc.arg(&source).args(flags.split_whitespace()).args(["-lm", "-o"]).arg(&program));
+            let mut needed = Command::new("readelf");
+            let needed = succeed(needed.arg("-d").arg(&program));
+            assert_eq!(needed.contains("[libplumbline.so.0]"), name == "shared", "{needed}");
+            if name == "shared" {
+                // The loader's folder, as for an installed program.
+                let mut command = Command::new(&program);
+                let done = succeed(command.arg(&model).env("LD_LIBRARY_PATH", prefix.join("lib")));
+                printed.push(numbers(done.as_bytes()));
+            } else {
+                printed.push(prints(&program));
+            }
+        }
+    }
+    if found("cmake") && found("gcc") {
+        let lists = format!(
+            "cmake_minimum_required(VERSION 3.13)\nproject(test C)\nfind_package(plumbline 0.1 REQUIRED)\n\
+             add_executable(shared {0})\ntarget_link_libraries(shared plumbline::plumbline m)\n\
+             add_executable(static {0})\ntarget_link_libraries(static plumbline::static)\n",
+            source.display()
+        );
+        std::fs::write(folder.path().join("CMakeLists.txt"), lists).unwrap();
+        let build = folder.path().join("build");
+        let mut cmake = Command::new("cmake");
+        let prefix = format!("-DCMAKE_PREFIX_PATH={}", prefix.display());
+        succeed(cmake.arg("-S").arg(folder.path()).arg("-B").arg(&build).arg(prefix));
+        succeed(Command::new("cmake").arg("--build").arg(&build));
+        printed.extend(["shared", "static"].map(|name| prints(&build.join(name))));
+    }
+    let different = printed.iter().find(|other| **other != printed[0]);
+    assert!(different.is_none() && printed.first().is_none_or(|first| first.len() == 7), "{printed:?}");
+}
+
+#[test]
+fn the_torque_of_the_daemons_motion_is_followed_in_c_and_cpp() {
+    let folder = tempfile::tempdir().unwrap();
+    let robot = robot("feed-forward");
+    let daemon = Daemon::start(&robot, ServerSettings::default(), move |server, stop| {
+        let mut cycle = 0;
+        while !stop.load(std::sync::atomic::Ordering::Relaxed) {
+            let mut record = record(cycle);
+            (record.model, record.command.tau_vendor.0) = (0x5c1f, [0.5; 8]);
+            server.feed_forward(FeedForwardMessage::new(&record, 7, WALL, [0.0, 0.0, -9.81]));
+            server.poll(|_, _| unreachable!("nobody sends commands"));
+            cycle = (cycle + 1).min(300);
+            std::thread::sleep(std::time::Duration::from_millis(1));
+        }
+    });
+    let source = Path::new(HERE).join("tests/c/feed_forward.cpp");
+    if let Some(program) = cpp(&source, &[], folder.path().join("feed-forward")) {
+        let printed = numbers(&run(&program, &[robot.as_str(), "350"], &[]));
+        let record = record(300);
+        let (q_d, tau) = (record.command.desired.q[6], record.command.tau_ff.0[6]);
+        let expected = [f64::from(0x5c1f), 7.0, 1.0, 2.0, 1.0, 1.0, q_d, tau, 0.5, 9.81, -9.81, 1.0];
+        assert!(printed[0] >= 350.0);
+        assert_eq!(printed[1..], expected);
+    }
+    let source = plumbline_testkit::path("examples/clients/c/torque_follow.c");
+    if let Some(program) = compile("gcc", "gnu99", &source, &[], folder.path().join("follow")) {
+        let printed = String::from_utf8(run(&program, &[robot.as_str(), "20"], &[])).unwrap();
+        let sequences: Vec<u64> =
+            printed.lines().map(|line| line.split_whitespace().nth(1).unwrap().parse().unwrap()).collect();
+        assert!(sequences.len() == 20 && sequences.is_sorted_by(|a, b| a < b), "{printed}");
+        assert!(printed.lines().all(|line| line.contains("model 0000000000005c1f  tau")), "{printed}");
+    }
+    daemon.stop();
+}
+
+#[test]
+fn messages_of_another_layout_are_refused_by_name() {
+    let folder = tempfile::tempdir().unwrap();
+    let Some(program) = c(&Path::new(HERE).join("tests/c/layout.c"), folder.path().join("layout")) else { return };
+    let prints = |other| {
+        let robot = robot(&format!("layout-{other:?}").to_lowercase());
+        let _daemon = OtherDaemon::start(&robot, other);
+        String::from_utf8(run(&program, &[robot.as_str()], &[])).unwrap()
+    };
+    let types = prints(Other::Types);
+    for what in ["follow", "feed-forward", "guest"] {
+        let line =
+            types.lines().find(|line| line.starts_with(&format!("{what} 22 "))).unwrap_or_else(|| panic!("{types}"));
+        assert!(line.contains("exists with other types or sizes than this version of plumbline uses"), "{line}");
+    }
+    let number = prints(Other::Number);
+    assert!(number.contains("trouble 22 ") && number.contains("its layout is 2, this version reads 1"), "{number}");
 }

@@ -48,6 +48,18 @@ pub enum Error {
     Thread(String),
 }
 
+impl Error {
+    /// Whether a message of the daemon is refused: the error stays until another model is served.
+    pub(crate) fn refuses_model(&self) -> bool {
+        use IpcError::{Incompatible, Malformed};
+        match self {
+            Error::Input(_) | Error::OtherRobot { .. } | Error::OtherMounting(_) | Error::Damaged { .. } => true,
+            Error::Ipc(error) => matches!(error, Incompatible { .. } | Malformed { .. }),
+            Error::DaemonGone { .. } | Error::SecondPublisher { .. } | Error::Thread(_) => false,
+        }
+    }
+}
+
 /// Error of a call in the control loop. No torque was written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum Fault {

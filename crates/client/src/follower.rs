@@ -199,10 +199,21 @@ pub(crate) fn follow(robot: &str, expected: Expected, timeout: Duration) -> Resu
     Background::start("plumbline-follow", INTERVAL, move || {
         let start = Instant::now();
         let (mut follower, model) = Follower::connect(&robot, expected, timeout)?;
-        let mut step = move || {
-            let outcome = follower.poll();
-            follower.shared.set_trouble(outcome.as_ref().err().cloned());
-            outcome.is_ok_and(|changes| changes.iter().any(|change| matches!(change, Change::Served { .. })))
+        // Whether the wait is over: a model was served or refused.
+        let mut step = move || match follower.poll() {
+            Ok(changes) => {
+                let served = changes.iter().any(|change| matches!(change, Change::Served { .. }));
+                // `poll` reports a refused model once. The error stays until another model is served.
+                if served || !follower.shared.trouble().is_some_and(|trouble| trouble.refuses_model()) {
+                    follower.shared.set_trouble(None);
+                }
+                served
+            }
+            Err(error) => {
+                let refused = error.refuses_model();
+                follower.shared.set_trouble(Some(error));
+                refused
+            }
         };
         while !step() && start.elapsed() < timeout {
             std::thread::sleep(Duration::from_millis(1));

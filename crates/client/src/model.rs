@@ -71,7 +71,8 @@ impl Model {
     }
 
     /// The model that the daemon of `robot` serves; a thread of its own follows it until the model is dropped. Waits up to `timeout` for the
-    /// daemon and for its model. Without a model in time, calls return [`Fault::NoModel`] until one is served.
+    /// daemon and for its model. Without a model in time, or with one that is refused ([`Model::trouble`]), calls return [`Fault::NoModel`] until
+    /// one is served.
     ///
     /// # Errors
     /// As [`Follower::connect`](crate::Follower::connect), and [`Error::Thread`].
@@ -85,7 +86,8 @@ impl Model {
         Model { evaluation: evaluation.map(Box::new), inbox, shared, period: PERIOD_S, background: None }
     }
 
-    /// What the thread that follows the daemon has last failed at; `None` while it succeeds. Locks: not for the control loop.
+    /// What the thread that follows the daemon has last failed at; `None` while it succeeds. The error of a refused model stays until another one
+    /// is served. Locks: not for the control loop.
     pub fn trouble(&self) -> Option<Error> {
         self.shared.trouble()
     }

@@ -9,7 +9,7 @@ use iceoryx2::prelude::*;
 use super::error::IpcError;
 use super::messages::FeedForwardMessage;
 use super::robot::RobotId;
-use super::services::{self, ServiceNode, boot_ns};
+use super::services::{self, boot_ns};
 use plumbline_core::Validity;
 
 /// Maximum time stamp in the future \[ns\]; a later one is not from this machine's clock.
@@ -60,14 +60,14 @@ pub enum Presence {
     Gone,
 }
 
-/// Client of the feed-forward torque of one robot. Not `Send`.
+/// Client of the feed-forward torque of one robot.
 pub struct FeedForwardClient {
     settings: FeedForwardSettings,
     newest: Option<FeedForwardMessage>,
     rejected: u64,
-    subscriber: Subscriber<ipc::Service, FeedForwardMessage, ()>,
-    service: services::FeedForward,
-    node: ServiceNode,
+    subscriber: Subscriber<ipc_threadsafe::Service, FeedForwardMessage, ()>,
+    service: services::FeedForwardForThreads,
+    node: Node<ipc_threadsafe::Service>,
 }
 
 impl FeedForwardClient {

@@ -4,6 +4,7 @@
 //! every bit pattern is a valid value. Each has a type name that iceoryx2 compares. A test asserts every offset.
 
 use iceoryx2::prelude::ZeroCopySend;
+use serde::{Deserialize, Serialize};
 
 use plumbline_core::{Command, JointVec, MAX_JOINTS, Phase, Record, Setpoint, State, Torque, Validity};
 
@@ -143,7 +144,7 @@ impl SampleMessage {
 
 /// Feed-forward torque of the served model at the current desired state. Only the latest value is kept.
 #[repr(C)]
-#[derive(Clone, Copy, Debug, Default, PartialEq, ZeroCopySend)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, ZeroCopySend)]
 #[type_name("plumbline::FeedForwardMessage")]
 pub struct FeedForwardMessage {
     /// Sequence number since the daemon's start, from 1; a client may skip values. Set by [`Server`](super::Server).
@@ -230,7 +231,7 @@ pub const LAYOUT: u32 = 1;
 
 /// Header of the served model; the payload is the text of the model file, empty where no model is served.
 #[repr(C)]
-#[derive(Clone, Copy, Debug, Default, PartialEq, ZeroCopySend)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, ZeroCopySend)]
 #[type_name("plumbline::ModelHeader")]
 pub struct ModelHeader {
     /// [`LAYOUT`]. Set by [`Server`](super::Server).
@@ -260,7 +261,7 @@ impl ModelHeader {
 
 /// State of an arm in one cycle of a controller that is not plumbline's.
 #[repr(C)]
-#[derive(Clone, Copy, Debug, Default, PartialEq, ZeroCopySend)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, ZeroCopySend)]
 #[type_name("plumbline::GuestMessage")]
 pub struct GuestMessage {
     /// [`LAYOUT`]. Set by [`GuestPublisher`](super::GuestPublisher).

@@ -39,6 +39,8 @@ const RETRY_INTERVAL: Duration = Duration::from_millis(10);
 pub(super) type ServiceNode = Node<ipc::Service>;
 pub(super) type Samples = publish_subscribe::PortFactory<ipc::Service, [SampleMessage], ()>;
 pub(super) type FeedForward = publish_subscribe::PortFactory<ipc::Service, FeedForwardMessage, ()>;
+/// The same for a client that may move between threads: another lock in this process, the same memory.
+pub(super) type FeedForwardForThreads = publish_subscribe::PortFactory<ipc_threadsafe::Service, FeedForwardMessage, ()>;
 pub(super) type Model = publish_subscribe::PortFactory<ipc::Service, [u8], ModelHeader>;
 pub(super) type Guest = publish_subscribe::PortFactory<ipc::Service, [GuestMessage], ()>;
 pub(super) type Replay = request_response::PortFactory<ipc::Service, FollowRequest, (), [SampleMessage], ReplayHeader>;
@@ -72,7 +74,7 @@ pub(super) fn serving_node() -> Result<ServiceNode, IpcError> {
 }
 
 /// Node of a client. Foreign files with plumbline's prefix only cause a warning: they must not prevent a client from stopping the arm.
-pub(super) fn joining_node() -> Result<ServiceNode, IpcError> {
+pub(super) fn joining_node<S: Service>() -> Result<Node<S>, IpcError> {
     // Once per process: a client may connect for every request.
     static WARNED: Once = Once::new();
     if let Err(foreign) = runtime_dir::check_no_foreign_files() {
@@ -84,7 +86,7 @@ pub(super) fn joining_node() -> Result<ServiceNode, IpcError> {
 }
 
 /// Node of this process. Its creation removes the resources of killed processes.
-fn node() -> Result<ServiceNode, IpcError> {
+fn node<S: Service>() -> Result<Node<S>, IpcError> {
     // Errors only. iceoryx2 warns of missing configuration files and dead peers, which are normal here.
     // IOX2_LOG_LEVEL enables its warnings.
     static LOGGER_SET: Once = Once::new();
@@ -165,10 +167,10 @@ fn samples(node: &ServiceNode, name: &str) -> Result<pubsub::Builder<[SampleMess
     Ok(node.service_builder(&service_name(name)?).publish_subscribe::<[SampleMessage]>())
 }
 
-fn feed_forward(
-    node: &ServiceNode,
+fn feed_forward<S: Service>(
+    node: &Node<S>,
     name: &str,
-) -> Result<pubsub::Builder<FeedForwardMessage, (), ipc::Service>, IpcError> {
+) -> Result<pubsub::Builder<FeedForwardMessage, (), S>, IpcError> {
     Ok(node.service_builder(&service_name(name)?).publish_subscribe::<FeedForwardMessage>())
 }
 
@@ -289,8 +291,8 @@ pub(super) fn serve_commands(node: &ServiceNode, robot: &RobotId) -> Result<Comm
 
 /// Functions that open a service of a daemon.
 macro_rules! join {
-    ($($join:ident: $builder:ident, $name:ident -> $service:ty;)+) => {$(
-        pub(super) fn $join(node: &ServiceNode, robot: &RobotId, timeout: Duration) -> Result<$service, IpcError> {
+    ($($join:ident: $node:ty, $builder:ident, $name:ident -> $service:ty;)+) => {$(
+        pub(super) fn $join(node: &$node, robot: &RobotId, timeout: Duration) -> Result<$service, IpcError> {
             let name = $name(robot);
             joined(robot, timeout, retry_until(&name, timeout, || Ok($builder(node, &name)?.open())))
         }
@@ -298,11 +300,11 @@ macro_rules! join {
 }
 
 join! {
-    join_samples: samples, samples_name -> Samples;
-    join_replay: replay, replay_name -> Replay;
-    join_feed_forward: feed_forward, feed_forward_name -> FeedForward;
-    join_model: model, model_name -> Model;
-    join_commands: commands, command_name -> Commands;
+    join_samples: ServiceNode, samples, samples_name -> Samples;
+    join_replay: ServiceNode, replay, replay_name -> Replay;
+    join_feed_forward: Node<ipc_threadsafe::Service>, feed_forward, feed_forward_name -> FeedForwardForThreads;
+    join_model: ServiceNode, model, model_name -> Model;
+    join_commands: ServiceNode, commands, command_name -> Commands;
 }
 
 /// Timeout of the daemon for opening a service: another process may still be cleaning up after a killed one.
@@ -368,7 +370,7 @@ pub(super) fn full(name: &str, service: &Commands) -> IpcError {
 }
 
 /// Whether the process of a node still runs. A node that does not exist was cleaned up after its process ended.
-pub(super) fn runs(node: &ServiceNode, id: UniqueNodeId) -> bool {
+pub(super) fn runs<S: Service>(node: &Node<S>, id: UniqueNodeId) -> bool {
     !matches!(Node::<ipc::Service>::state_of(node.config(), id), Ok(None | Some(NodeState::Dead(_))))
 }
 

@@ -10,7 +10,7 @@
 //! | `identify` | `scene`, `bodies`, `peers::nearest` |
 //! | `diagnose` | `diagnosis` |
 //! | `franka` | `emulator`, `franka_loop`, `fuzz` |
-//! | `ipc` | `memory` |
+//! | `ipc` | `memory`, `other_layout` |
 //! | `inclinometer` | `inclinometer` |
 //! | `program` | `job`, `kill`, `paper`, `rig`, `fuzz::files`: they run the program or read its files |
 
@@ -40,6 +40,8 @@ pub mod kill;
 pub mod logs;
 #[cfg(feature = "ipc")]
 pub mod memory;
+#[cfg(feature = "ipc")]
+pub mod other_layout;
 pub mod page;
 #[cfg(feature = "program")]
 pub mod paper;

@@ -1,6 +1,6 @@
 // A control loop in plain C: the torque of a model file along a slow sine, as a controller would send it.
 //
-//     cc torque_loop.c -lplumbline_c -lm -o torque_loop && ./torque_loop MODEL.toml
+//     cc torque_loop.c $(pkg-config --cflags --libs plumbline) -lm -o torque_loop && ./torque_loop MODEL.toml
 #include <math.h>
 #include <stdio.h>
 

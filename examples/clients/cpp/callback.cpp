@@ -1,7 +1,7 @@
 // A torque callback in libfranka's style: state in, torque out. libfranka adds gravity upright by itself, so it is sent the difference to the
 // torque of gravity under that mounting.
 //
-//     c++ -std=c++17 callback.cpp -lplumbline_c -o callback && ./callback MODEL.toml
+//     c++ -std=c++17 callback.cpp $(pkg-config --cflags --libs plumbline) -o callback && ./callback MODEL.toml
 #include <cstdio>
 #include <exception>
 

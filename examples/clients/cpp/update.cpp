@@ -1,6 +1,6 @@
 // A controller in ros2_control's style: configure outside the loop, update() in it. It follows the daemon's model and publishes its states.
 //
-//     c++ -std=c++17 update.cpp -lplumbline_c -o update && ./update ROBOT
+//     c++ -std=c++17 update.cpp $(pkg-config --cflags --libs plumbline) -o update && ./update ROBOT
 #include <chrono>
 #include <cstdio>
 #include <exception>

@@ -22,9 +22,9 @@ part_install() {
     check "the package installs" "exit $?" test -x /usr/bin/plumbline
     check "installing starts and enables nothing" "$(systemctl is-active plumbline) $(systemctl is-enabled plumbline 2>/dev/null)" \
         test "$(systemctl is-active plumbline)$(systemctl is-enabled plumbline 2>/dev/null)" = inactivedisabled
-    said=$(systemd-analyze verify plumbline.service plumbline-estimator.service 2>&1 | grep -i plumbline)
+    said=$(systemd-analyze verify plumbline.service plumbline-estimator.service plumbline-relay@panda.service 2>&1 | grep -i plumbline)
     check "systemd-analyze verify is silent" "${said:-nothing said}" test -z "$said"
-    for unit in plumbline plumbline-estimator; do
+    for unit in plumbline plumbline-estimator plumbline-relay@panda; do
         exposure=$(systemd-analyze security --no-pager --threshold=25 $unit.service 2>&1); good=$?
         check "systemd-analyze security of $unit, at most 2.5" "$(printf '%s' "$exposure" | sed -n 's/.*service: \([0-9.]*\).*/\1/p')" test $good = 0
     done

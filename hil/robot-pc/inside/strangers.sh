@@ -21,6 +21,31 @@ check "nor a byte of any segment" "$(grep -vc 'Permission denied' /tmp/stolen) r
 alice sh -c ': > /run/plumbline/panda.lock' >/dev/null
 check "nor touches the lock" "process $(sed -n 's/process //p' /run/plumbline/panda.lock)" grep -q "$(pid_of plumbline)" /run/plumbline/panda.lock
 
+# A user of the group, through the relay: torque, and no request. Model and states: tests/clock/relay.rs.
+useradd --create-home --groups plumbline bob 2>/dev/null
+bob() { runuser -u bob -- env PLUMBLINE_RUNTIME_DIR=/tmp/bob "$@" 2>&1; }
+systemctl start plumbline-relay@panda
+listens=$(within 5000 test -S /run/plumbline-relay/panda.sock)
+check "the relay listens, for the group alone" "after $listens ms, $(stat -c '%U %G %a' /run/plumbline-relay/panda.sock)" \
+    test "$(stat -c '%U%G%a' /run/plumbline-relay /run/plumbline-relay/panda.sock | tr '\n' ' ')" = "plumblineplumbline750 plumblineplumbline660 "
+said=$(alice plumbline relay join); code=$?
+check "a user outside the group is refused" "$(printf '%s' "$said" | tail -n 1 | cut -c 1-70)" test $code != 0 -a -n "$(grep 'Permission denied' <<<"$said")"
+runuser -u bob -- env PLUMBLINE_RUNTIME_DIR=/tmp/bob plumbline relay join >/tmp/bob.log 2>&1 &
+joined=$!
+bob_reads() { bob plumbline torque | grep -q tau_ff; }
+reads=$(within 20000 bob_reads)
+check "a user of the group reads the torque" "after $reads ms" bob_reads
+for what in start quit status; do
+    said=$(bob plumbline command $what); code=$?
+    check "and its \`command $what\` is refused" "exit $code" test $code = 1 -a -n "$(grep 'passes no requests' <<<"$said")"
+done
+bob plumbline command stop >/dev/null; code=$?
+check "nor does its stop arrive" "exit $code" test $code = 1 -a "$(field phase)" = hold
+said=$(bob env PLUMBLINE_RUNTIME_DIR=/run/plumbline plumbline torque); code=$?
+check "the daemon's own folder stays closed to the group" "exit $code" test $code = 1
+kill $joined; wait $joined 2>/dev/null
+systemctl stop plumbline-relay@panda
+
 # Forging: what is on the disk, then straight through shared memory, with no care of plumbline's own in the way.
 modeldir=/var/lib/plumbline/results
 mkdir -p $modeldir && chown plumbline:plumbline $modeldir

@@ -3,6 +3,7 @@
 mod evaluation;
 mod follower;
 mod guest;
+mod layout;
 mod models;
 
 #[global_allocator]
