@@ -38,6 +38,12 @@ impl Placement {
     pub fn then(&self, next: &Placement) -> Placement {
         Placement { rotation: self.rotation * next.rotation, origin: self.rotation * next.origin + self.origin }
     }
+
+    /// The parent frame in the child frame.
+    pub fn inverse(&self) -> Placement {
+        let rotation = self.rotation.transpose();
+        Placement { rotation, origin: -(rotation * self.origin) }
+    }
 }
 
 /// One row of a modified-DH table: `T = Rx(alpha) Tx(a) Rz(theta) Tz(d)`.

@@ -34,6 +34,7 @@
     clippy::unimplemented
 )]
 
+mod axes;
 mod base;
 mod chain;
 mod conditioning;
@@ -53,6 +54,7 @@ mod structure;
 pub mod term;
 mod torque;
 
+pub use axes::Axis;
 pub use base::{BaseKind, Reduction};
 pub use chain::{Chain, Joint, JointKind, Placement, StandardDh};
 pub use conditioning::{Conditions, ZERO_COLUMN, condition, conditions, dependent_columns, friction_columns};
