@@ -71,7 +71,7 @@ fn fr3_mjcf() -> PathBuf {
     let robot = plumbline_testkit::bodies::robot("fr3");
     let model = plumbline_testkit::bodies::model(&robot, &["friction"], 5);
     let bodies = plumbline_testkit::bodies::bodies(&model);
-    let arm = Arm { model: &model, bodies: &bodies, limits: &robot.limits };
+    let arm = Arm { model: &model, bodies: &bodies, limits: &robot.limits, left_out: None };
     let path = Path::new(env!("CARGO_TARGET_TMPDIR")).join("fci-servers-fr3.xml");
     std::fs::write(&path, mjcf::write(&arm, &Mounting::UPRIGHT.gravity()).text).unwrap();
     path

@@ -5,24 +5,24 @@ use crate::failure::Failure;
 use crate::report::Consistency;
 use crate::store::ModelFile;
 use crate::store::export::{Arm, Exported, c, effects, mjcf, splice, tree, urdf};
+use crate::urdf::{parse, read};
 use clap::{Args, ValueEnum};
 use plumbline_core::BadInput;
 use plumbline_identify::consistency::{Nearest, Prior, Uncertainty, Weights, nearest};
 use plumbline_model::{Mounting, Robot, is_consistent};
 use plumbline_model_file::models;
-use roxmltree::Document;
 use std::path::{Path, PathBuf};
 
 /// Options of `plumbline export`.
 #[derive(Args)]
 pub struct Options {
-    /// Model file
+    /// Model file, or the folder of a job's results
     model: PathBuf,
-    /// Format: URDF, MuJoCo model, or a C function that depends on math.h only
+    /// Format: URDF, MuJoCo model, or a C function that depends on math.h only; all three where absent
     #[arg(long, value_enum)]
-    format: Format,
-    /// File to write
-    #[arg(long, value_name = "FILE")]
+    format: Option<Format>,
+    /// File to write; without --format the folder for ROBOT.urdf, ROBOT.xml and ROBOT.c
+    #[arg(long, value_name = "PATH")]
     out: PathBuf,
     /// URDF of the same arm (from its maker, from CAD) whose bodies are the prior where the torques determine none
     #[arg(long, value_name = "FILE.urdf")]
@@ -44,8 +44,12 @@ enum Format {
 
 /// Exports a model; projects it to physically consistent bodies if the file has none.
 pub fn run(options: Options) -> Result<(), Failure> {
-    let name = options.model.display().to_string();
-    let (file, robot) = models::load(&options.model)?;
+    let path = match options.model.is_dir() {
+        true => options.model.join("model.toml"),
+        false => options.model.clone(),
+    };
+    let name = path.display().to_string();
+    let (file, robot) = models::load(&path)?;
     let model = &file.model;
     check(&options)?;
     if let Err(refused) = model.valid_in(&Mounting::WALL)
@@ -54,37 +58,81 @@ pub fn run(options: Options) -> Result<(), Failure> {
         let expected = "a model that holds in every mounting, or --vertical";
         return Err(BadInput::new(name, "key `kind`", refused, expected).into());
     }
+    let wanted: Vec<(Format, PathBuf)> = match options.format {
+        Some(format) => vec![(format, options.out.clone())],
+        None if options.out.is_file() => {
+            let expected = "a folder for all formats, or --format";
+            return Err(BadInput::new(
+                "command line",
+                "--out",
+                format!("the file {}", options.out.display()),
+                expected,
+            )
+            .into());
+        }
+        None => Format::value_variants()
+            .iter()
+            .map(|format| (*format, options.out.join(format.file(model.robot()))))
+            .collect(),
+    };
 
-    let exported = if options.format == Format::C {
-        c::write(model)
-    } else {
+    let mut exported: Vec<(Format, PathBuf, Exported)> = Vec::new();
+    if wanted.iter().any(|(format, _)| *format != Format::C) {
         let (bodies, notes) = bodies(&file, &robot, &name, options.prior.as_deref())?;
         say!("{}", Consistency::of_model(model, &bodies).sentence());
         notes.iter().for_each(|note| say!("note: {note}"));
-        let bodies = effects::with_payload(model, &bodies).map_err(|link| {
-            let expected = "a payload that makes a body of the last link: positive mass and moments";
-            BadInput::new(&name, "term `payload`", format!("a last link with {link:?}"), expected)
-        })?;
-        let arm = Arm { model, bodies: &bodies, limits: &robot.limits };
-        match (options.format, &options.into) {
-            (Format::Mjcf, _) => {
-                let mounting = model.mountings().first().copied().unwrap_or(Mounting::UPRIGHT);
-                mjcf::write(&arm, &mounting.gravity())
+        let (bodies, left_out) = match effects::with_payload(model, &bodies) {
+            Ok(with) => (with, None),
+            Err(link) => {
+                let [.., mass] = link;
+                let note = format!(
+                    "the payload is left out: with it the last link is no body ({mass:.3} kg with impossible moments)"
+                );
+                (bodies, Some(note))
             }
-            (_, Some(path)) => spliced(&arm, path, &robot)?,
-            _ => urdf::write(&arm),
+        };
+        let arm = Arm { model, bodies: &bodies, limits: &robot.limits, left_out: left_out.as_deref() };
+        for (format, out) in wanted.iter().filter(|(format, _)| *format != Format::C) {
+            let text = match (format, &options.into) {
+                (Format::Mjcf, _) => {
+                    let mounting = model.mountings().first().copied().unwrap_or(Mounting::UPRIGHT);
+                    mjcf::write(&arm, &mounting.gravity())
+                }
+                (_, Some(path)) => spliced(&arm, path, &robot)?,
+                _ => urdf::write(&arm),
+            };
+            exported.push((*format, out.clone(), text));
         }
-    };
-    crate::atomic::write_result(&options.out, exported.text.as_bytes())?;
-    for note in &exported.notes {
-        say!("note: {note}");
     }
-    if options.format == Format::C {
-        say!("{}: void {}(q, dq, ddq, gravity, tau)", options.out.display(), c::function_name(model.robot()));
-    } else {
-        say!("{}", options.out.display());
+    exported.extend(
+        wanted
+            .iter()
+            .filter(|(format, _)| *format == Format::C)
+            .map(|(_, out)| (Format::C, out.clone(), c::write(model))),
+    );
+    for (format, out, exported) in exported {
+        crate::atomic::write_result(&out, exported.text.as_bytes())?;
+        for note in &exported.notes {
+            say!("note: {note}");
+        }
+        match format {
+            Format::C => say!("{}: void {}(q, dq, ddq, gravity, tau)", out.display(), c::function_name(model.robot())),
+            _ => say!("{}", out.display()),
+        }
     }
     Ok(())
+}
+
+impl Format {
+    /// Name of a robot's file.
+    fn file(self, robot: &str) -> String {
+        let extension = match self {
+            Format::Urdf => "urdf",
+            Format::Mjcf => "xml",
+            Format::C => "c",
+        };
+        format!("{robot}.{extension}")
+    }
 }
 
 fn check(options: &Options) -> Result<(), BadInput> {
@@ -92,9 +140,9 @@ fn check(options: &Options) -> Result<(), BadInput> {
         Err(BadInput::new("command line", option, format!("--format {format}"), expected))
     };
     match (options.format, &options.into, &options.prior) {
-        (Format::C, Some(_), _) => refuse("--into", "c", "--format urdf"),
-        (Format::Mjcf, Some(_), _) => refuse("--into", "mjcf", "--format urdf"),
-        (Format::C, _, Some(_)) => refuse(
+        (Some(Format::C), Some(_), _) => refuse("--into", "c", "--format urdf"),
+        (Some(Format::Mjcf), Some(_), _) => refuse("--into", "mjcf", "--format urdf"),
+        (Some(Format::C), _, Some(_)) => refuse(
             "--prior",
             "c",
             "--format urdf or mjcf: the C function takes the base parameters, which need no bodies",
@@ -141,7 +189,7 @@ fn bodies(
 fn prior_of(path: &Path, robot: &Robot, usual: Prior) -> Result<(Prior, Vec<String>), Failure> {
     let (file, text) = read(path)?;
     let document = parse(&file, &text)?;
-    let tree = tree::Tree::of(&file, &document, &robot.chain)?;
+    let tree = tree::Tree::of(&file, &document, robot)?;
     let mut prior = usual;
     let mut notes = Vec::new();
     for (i, body) in tree::bodies(&file, &document, &tree)?.into_iter().enumerate() {
@@ -164,21 +212,6 @@ fn prior_of(path: &Path, robot: &Robot, usual: Prior) -> Result<(Prior, Vec<Stri
 fn spliced(arm: &Arm, path: &Path, robot: &Robot) -> Result<Exported, Failure> {
     let (file, text) = read(path)?;
     let document = parse(&file, &text)?;
-    let tree = tree::Tree::of(&file, &document, &robot.chain)?;
+    let tree = tree::Tree::of(&file, &document, robot)?;
     Ok(splice::write(arm, &text, &document, &tree))
-}
-
-fn read(path: &Path) -> Result<(String, String), BadInput> {
-    let file = path.display().to_string();
-    match std::fs::read_to_string(path) {
-        Ok(text) => Ok((file, text)),
-        Err(error) => Err(BadInput::new(file, "file", error, "a readable URDF")),
-    }
-}
-
-fn parse<'d>(file: &str, text: &'d str) -> Result<Document<'d>, BadInput> {
-    Document::parse(text).map_err(|error| {
-        let at = error.pos();
-        BadInput::new(file, format!("line {}, column {}", at.row, at.col), error, "XML")
-    })
 }

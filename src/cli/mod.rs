@@ -14,6 +14,7 @@ mod plan;
 mod postmortem;
 mod predict;
 mod relay;
+mod robot;
 mod run;
 mod say;
 mod torque;
@@ -61,6 +62,8 @@ macro_rules! subcommands {
 }
 
 subcommands! {
+    /// Write the files of an arm from its URDF, or show a robot
+    Robot => robot,
     /// Optimise an excitation and write it to a plan file
     Plan => plan,
     /// Run a whole job on one machine: daemon, estimator, report

@@ -8,6 +8,7 @@ use crate::process::signals::Ending;
 use crate::store::save_plan;
 use clap::Args;
 use plumbline_excite::PlanUsage;
+use plumbline_model::Robot;
 use std::path::{Path, PathBuf};
 
 /// Options of `plumbline plan`.
@@ -22,6 +23,8 @@ pub struct Options {
 
 /// Writes each motion when it is found. Ctrl-C ends the search with the best motion so far.
 pub fn run(options: Options) -> Result<(), Failure> {
+    let robot = Robot::load(&options.plan.robot, None)?;
+    crate::report::arm::unchecked(&robot).iter().for_each(|line| say!("note: {line}"));
     let ending = Ending::interrupts()?;
     plan(&options.plan, &|| ending.arrived(), &mut |planned| {
         if ending.arrived() {

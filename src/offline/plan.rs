@@ -17,7 +17,7 @@ use std::time::{Duration, Instant};
 pub struct Options {
     /// Robot: a shipped name such as panda, or the path of a robot description
     #[arg(long)]
-    robot: String,
+    pub robot: String,
     /// Mounting: upright, wall, ceiling, or RHO,PHI with units such as "60 deg,0 deg"
     #[arg(long, default_value = "upright")]
     mounting: String,

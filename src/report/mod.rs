@@ -2,6 +2,7 @@
 //!
 //! The report is plain data filled by the caller; no results are computed here.
 
+pub mod arm;
 mod consistency;
 pub mod diagnosis;
 pub mod figures;

@@ -2,10 +2,10 @@
 
 use crate::config::job::{BackendKind, Job};
 use crate::failure::Failure;
-use plumbline_core::{ArmConnector, ArmError, Clock, ConnectOptions, Connected};
-use plumbline_model::Robot;
+use plumbline_core::{ArmConnector, ArmError, Clock, ConnectOptions, Connected, JointVec};
+use plumbline_model::{Body, Robot};
 use plumbline_rt::os::Monotonic;
-use plumbline_sim::{SimConnector, Truth};
+use plumbline_sim::{Known, SimConnector, Truth};
 
 const ARMS: [(&str, &str); 2] = [
     ("sim-panda", include_str!("../../config/arms/sim-panda.toml")),
@@ -37,14 +37,43 @@ fn simulated(job: &Job, robot: &Robot) -> Result<SimConnector, Failure> {
     let arm = job.backend.arm.as_ref().ok_or_else(|| Failure::job("there is no simulated arm to drive"))?;
     let (file, text) = arm.read("backend.arm", &ARMS)?;
     let wall_clock = !job.backend.is_fast();
+    let (truth, start) = (Truth::parse(&file, &text)?, super::rest(job, robot)?);
+    truth.check_step(&file, &robot.chain, &start, &robot.limits.q_min, &robot.limits.q_max)?;
     Ok(SimConnector {
         chain: robot.chain.clone(),
-        truth: Truth::parse(&file, &text)?,
-        start: super::rest(job, robot)?,
+        truth,
+        start,
         seed: job.backend.seed,
         clock: wall_clock.then_some(monotonic),
         max_missed: job.safety.max_lost,
     })
+}
+
+/// Text of an arm file (`backend.arm`) for a robot of which bodies, limits and maybe friction are known, and what is other than known.
+pub fn simulated_arm(
+    name: &str,
+    robot: &Robot,
+    bodies: &[Body],
+    friction: &[[Option<f64>; 2]],
+    start: &JointVec,
+) -> (String, Option<String>) {
+    let (chain, limits) = (&robot.chain, &robot.limits);
+    let truth = Truth::typical(&Known { robot: name, chain, limits, bodies, friction, start });
+    let lowered = friction.iter().zip(&truth.joints).enumerate().filter(|(_, ([fv, fc], joint))| {
+        // Gains are rounded to three digits.
+        let less = |known: &Option<f64>, now: f64| known.is_some_and(|known| now < 0.99 * known);
+        less(fv, joint.fv) || less(fc, joint.fc)
+    });
+    let joints: Vec<String> = lowered.map(|(j, _)| (j + 1).to_string()).collect();
+    let note = (!joints.is_empty()).then(|| {
+        format!(
+            "the URDF's friction is lowered in joints {}: with so little inertia its integration would be unstable",
+            joints.join(", ")
+        )
+    });
+    let about = "bodies of its URDF, friction of its URDF or chosen, gains with which the integration is stable";
+    let said = note.iter().map(|note| format!("# {note}.\n")).collect::<String>();
+    (format!("# A simulated arm for {name}: {about}.\n{said}{}", truth.text()), note)
 }
 
 fn monotonic() -> Box<dyn Clock> {

@@ -62,7 +62,7 @@ fn pinocchio_and_mujoco_need_the_models_torque() {
         let rigid = model(&robot, &[], 40 + seed as u64);
         let found = bodies(&rigid);
         assert!(found.exact, "{name}");
-        let arm = Arm { model: &rigid, bodies: &found, limits: &robot.limits };
+        let arm = Arm { model: &rigid, bodies: &found, limits: &robot.limits, left_out: None };
         request.urdf.push(Exported { text: urdf::write(&arm).text, cases: cases(&rigid, 25) });
 
         // MuJoCo has armature and damping, too: the model without the Coulomb part of its friction.
@@ -76,7 +76,7 @@ fn pinocchio_and_mujoco_need_the_models_torque() {
         let whole = plumbline_model::TorqueModel::new(*name, structure, vec![Mounting::WALL], &values).unwrap();
         let found = bodies(&whole);
         assert!(found.exact, "{name}");
-        let arm = Arm { model: &whole, bodies: &found, limits: &robot.limits };
+        let arm = Arm { model: &whole, bodies: &found, limits: &robot.limits, left_out: None };
         let text = mjcf::write(&arm, &Mounting::WALL.gravity()).text;
         request.mjcf.push(Exported { text, cases: cases(&whole, 25) });
     }
@@ -132,7 +132,7 @@ fn bodies_are_inserted_into_another_urdf() {
     let tree = tree::Tree::of("foreign.urdf", &document, &robot.chain).unwrap_or_else(|error| panic!("{error}"));
     let model = model(&robot, &[], 5);
     let found = bodies(&model);
-    let arm = Arm { model: &model, bodies: &found, limits: &robot.limits };
+    let arm = Arm { model: &model, bodies: &found, limits: &robot.limits, left_out: None };
     let exported = splice::write(&arm, &text, &document, &tree);
     assert!(exported.notes.iter().any(|note| note.contains("`camera`")), "{:?}", exported.notes);
     // Everything but the inertials and one comment is as it was.

@@ -76,7 +76,8 @@ fn a_model_file_with_bodies_exports_those() {
     // The bodies of a URDF are taken where the torques leave the choice: the true ones come back whole.
     let mut rng = ChaCha8Rng::seed_from_u64(8);
     let truth: Vec<_> = (0..7).map(|_| random_body(&mut rng)).collect();
-    let arm = Arm { model: &own, bodies: &Nearest { links: truth.clone(), ..found }, limits: &robot.limits };
+    let arm =
+        Arm { model: &own, bodies: &Nearest { links: truth.clone(), ..found }, limits: &robot.limits, left_out: None };
     let prior = put(room.path(), "cad.urdf", &urdf::write(&arm).text);
     let mut with_prior = arguments.to_vec();
     with_prior.extend(["--prior", prior.to_str().unwrap()]);
@@ -149,7 +150,7 @@ fn what_cannot_be_used_is_refused_by_name() {
     let robot = robot("panda");
     let own = model(&robot, &[], 8);
     let found = bodies(&own);
-    let good = urdf::write(&Arm { model: &own, bodies: &found, limits: &robot.limits }).text;
+    let good = urdf::write(&Arm { model: &own, bodies: &found, limits: &robot.limits, left_out: None }).text;
     let mass = format!("<mass value=\"{:?}\"/>", Body::of(&found.links[2]).mass);
     assert!(good.contains(&mass));
     let wrong = put(room.path(), "wrong.urdf", &good.replace(&mass, "<mass value=\"-1.0\"/>"));

@@ -54,9 +54,9 @@ impl Chain {
         }
         for (i, line) in lines.iter().enumerate().skip(1) {
             let z = line.direction;
-            let normal = lines.get(i + 1).map_or(Normal { leaves: line.point, x, a: 0.0, alpha: 0.0 }, |next| {
-                Normal::between(line, next, &x)
-            });
+            let normal = lines
+                .get(i + 1)
+                .map_or(Normal { leaves: line.point, x, a: 0.0, alpha: 0.0 }, |next| Normal::between(line, next, &x));
             let theta = tidy_angle(x.cross(&normal.x).dot(&z).atan2(x.dot(&normal.x)));
             joints.push(Joint { kind: line.kind, a, alpha, d: tidy_length((normal.leaves - foot).dot(&z)), theta });
             (a, alpha, x) = (normal.a, normal.alpha, normal.x);
@@ -173,7 +173,8 @@ mod tests {
         let mut axes: Vec<Axis> = Vec::new();
         for i in 0..rng.random_range(1..=MAX_JOINTS) {
             let kind = if rng.random_bool(0.2) { JointKind::Prismatic } else { JointKind::Revolute };
-            let (before, last) = axes.last().map_or((Vector3::z(), Vector3::zeros()), |axis| (axis.direction.normalize(), axis.point));
+            let (before, last) =
+                axes.last().map_or((Vector3::z(), Vector3::zeros()), |axis| (axis.direction.normalize(), axis.point));
             let side = before.cross(&unit(rng)).normalize();
             let direction = match rng.random_range(0..4) {
                 0 => unit(rng),

@@ -5,7 +5,7 @@ use crate::shape::{Capsule, Shape};
 use nalgebra::{Rotation3, Vector3};
 use plumbline_core::{BadInput, JointVec, Limits, MAX_JOINTS, SpeedEnvelope, Workspace, from_toml};
 use serde::Deserialize;
-use std::f64::consts::FRAC_PI_2;
+use std::f64::consts::{FRAC_PI_2, PI};
 use std::path::Path;
 
 /// The built-in robots, name and file.
@@ -89,14 +89,22 @@ pub struct SelfCollision {
     pub exempt: Vec<[usize; 2]>,
 }
 
-/// Placement of the flange in the last DH frame: translation, then fixed-axis rotations about x, y, z as in URDF.
+/// Placement of a frame in another: translation, then fixed-axis rotations about x, y, z as in URDF.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields, rename_all = "kebab-case", default)]
-pub struct Flange {
+pub struct Pose {
     /// Translation \[m\], default zero.
     pub xyz: [f64; 3],
     /// Roll, pitch, yaw \[rad\], default zero.
     pub rpy: [f64; 3],
+}
+
+impl Pose {
+    fn placement(&self) -> Placement {
+        let [roll, pitch, yaw] = self.rpy;
+        let rotation = *Rotation3::from_euler_angles(roll, pitch, yaw).matrix();
+        Placement { rotation, origin: Vector3::from(self.xyz) }
+    }
 }
 
 /// Workspace of the end effector in the base frame (paper eq. 14).
@@ -131,9 +139,12 @@ pub struct RobotFile {
     /// Pairs of joints, counted from 1, whose gears are coupled, as in many wrists; default none.
     #[serde(default)]
     pub coupled: Vec<[usize; 2]>,
-    /// The flange, default the last DH frame.
+    /// The base frame in the frame of the root link of the arm's URDF, default the same frame.
     #[serde(default)]
-    pub flange: Flange,
+    pub base: Pose,
+    /// The flange in the last DH frame, default that frame.
+    #[serde(default)]
+    pub flange: Pose,
     /// Workspace of the end effector; default a box around the arm's whole reach and no sphere.
     pub workspace: Option<WorkspaceTable>,
     /// Volumes of the links; without them self-collision is not checked.
@@ -155,10 +166,14 @@ pub struct Robot {
     pub source: String,
     /// Kinematics.
     pub chain: Chain,
+    /// The base frame in the frame of the root link of the arm's URDF.
+    pub base: Placement,
     /// Limits of the joints.
     pub limits: Limits,
     /// Workspace of the end effector.
     pub workspace: Workspace,
+    /// Whether the description has a workspace; otherwise `workspace` is larger than the arm's reach.
+    pub has_workspace: bool,
     /// Bodies of the links; empty when the description has none.
     pub shape: Shape,
     /// Speed limits that fall towards the ends of the ranges, where the arm has them.
@@ -222,9 +237,10 @@ impl RobotFile {
             })?;
         }
         let first = &self.joint[0];
-        if self.convention == Convention::ModifiedDh && (first.alpha != 0.0 || first.a != 0.0) {
-            let expected =
-                "0: the base frame's z axis is axis 1, so that a mounting says how gravity lies to it (paper eq. 3)";
+        // pi: an arm whose axis 1 points down while it stands upright.
+        if self.convention == Convention::ModifiedDh && (!matches!(first.alpha, 0.0 | PI) || first.a != 0.0) {
+            let expected = "a = 0 and alpha = 0 (or 3.141592653589793): axis 1 lies in the base frame's z axis, so that a mounting \
+                 says how gravity lies to it (paper eq. 3)";
             let value = format!("alpha = {}, a = {}", first.alpha, first.a);
             return Err(BadInput::new(file, "joint 1, keys `alpha` and `a`", value, expected));
         }
@@ -234,14 +250,12 @@ impl RobotFile {
             let expected = format!("pairs of two different joints from 1 to {n}");
             return Err(BadInput::new(file, "coupled", format!("[{one}, {other}]"), expected));
         }
-        for (key, values) in [("xyz", self.flange.xyz), ("rpy", self.flange.rpy)] {
-            if values.iter().any(|value| !value.is_finite()) {
-                return Err(BadInput::new(
-                    file,
-                    format!("flange, key `{key}`"),
-                    format!("{values:?}"),
-                    "finite numbers",
-                ));
+        for (table, pose) in [("base", self.base), ("flange", self.flange)] {
+            for (key, values) in [("xyz", pose.xyz), ("rpy", pose.rpy)] {
+                if values.iter().any(|value| !value.is_finite()) {
+                    let place = format!("{table}, key `{key}`");
+                    return Err(BadInput::new(file, place, format!("{values:?}"), "finite numbers"));
+                }
             }
         }
         Ok(Robot {
@@ -249,8 +263,10 @@ impl RobotFile {
             full_name: self.full_name.clone(),
             source: self.source.clone(),
             chain: self.chain(),
+            base: self.base.placement(),
             limits: self.limits(),
             workspace: self.checked_workspace(file)?,
+            has_workspace: self.workspace.is_some(),
             shape: self.checked_shape(file)?,
             envelope: self.envelope(),
             torque_sensing: self.torque_sensing,
@@ -259,9 +275,7 @@ impl RobotFile {
     }
 
     fn chain(&self) -> Chain {
-        let [roll, pitch, yaw] = self.flange.rpy;
-        let rotation = *Rotation3::from_euler_angles(roll, pitch, yaw).matrix();
-        let flange = Placement { rotation, origin: Vector3::from(self.flange.xyz) };
+        let flange = self.flange.placement();
         let chain = match self.convention {
             Convention::ModifiedDh => {
                 let joint = |r: &JointRow| Joint { kind: r.kind, a: r.a, alpha: r.alpha, d: r.d, theta: r.theta };

@@ -7,6 +7,8 @@
 //! | `spatial`, `aba` | rigid-body dynamics, independent of the model's |
 //! | `effect` | effects that a rigid-body model lacks |
 //! | `commands`, `plant` | the controller's smooth target; the integration |
+//! | `stability` | whether the step is short enough for gains, friction and inertia |
+//! | `typical` | an arm of which only bodies and limits are known |
 //! | `sensors`, `gate` | noise, faults and loss; back-pressure at full speed |
 //! | `response` | a periodic motion without a loop |
 //! | `connector` | the arm as a backend of the daemon |
@@ -56,8 +58,10 @@ mod plant;
 mod response;
 mod sensors;
 mod spatial;
+mod stability;
 mod truth;
 mod truth_file;
+mod typical;
 
 pub use connector::SimConnector;
 pub use effect::Reading;
@@ -66,6 +70,7 @@ pub use hardware::Hardware;
 pub use plant::Exact;
 pub use response::Response;
 pub use truth::{JointTruth, Truth};
+pub use typical::Known;
 
 use commands::{Commands, Refusal, TICK_S};
 use effect::Effect;

@@ -92,7 +92,7 @@ fn base_of(file: &str, base: &Path) -> Result<Truth, BadInput> {
 }
 
 /// Values of absent keys. Robot, links and joints have none.
-const DEFAULTS: Truth = Truth {
+pub(super) const DEFAULTS: Truth = Truth {
     robot: String::new(),
     links: Vec::new(),
     joints: Vec::new(),

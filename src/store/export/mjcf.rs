@@ -1,6 +1,5 @@
 //! MJCF of an identified arm, for MuJoCo: nested bodies in the modified Denavit-Hartenberg frames, every joint's axis is z.
 
-use super::effects;
 use super::{Arm, Exported, attribute, comment, numbers, offsets, placements, validity};
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 use plumbline_model::term::Entry;
@@ -56,7 +55,7 @@ pub fn write(arm: &Arm, gravity: &Vector3<f64>) -> Exported {
         );
     }
     notes.extend(offsets(arm));
-    notes.extend(effects::notes_of_bodies(arm.model));
+    notes.extend(arm.lacks());
     let head = comment([format!("Written by plumbline. {}", arm.origin())].into_iter().chain(notes.clone()));
     let text = format!(
         "{head}<mujoco model=\"{}\">\n  <compiler angle=\"radian\" autolimits=\"true\" balanceinertia=\"false\"/>\n  <option \

@@ -31,6 +31,8 @@ pub struct Arm<'a> {
     pub model: &'a TorqueModel,
     pub bodies: &'a Nearest,
     pub limits: &'a Limits,
+    /// What the bodies lack of the model, as a note.
+    pub left_out: Option<&'a str>,
 }
 
 impl Arm<'_> {
@@ -63,6 +65,11 @@ impl Arm<'_> {
             notes.push(format!("{stem}{} = {value:?} is negative and stands as 0", joint + 1));
         }
         value.max(0.0)
+    }
+
+    /// Notes on what bodies cannot hold of the model.
+    fn lacks(&self) -> Vec<String> {
+        self.left_out.map(str::to_string).into_iter().chain(effects::notes_of_bodies(self.model)).collect()
     }
 
     /// How far the bodies are from what was identified, in one sentence.
@@ -108,7 +115,7 @@ fn numbers(values: impl IntoIterator<Item = f64>) -> String {
 }
 
 /// Fixed-axis roll, pitch, yaw of a rotation, `R = Rz(yaw) Ry(pitch) Rx(roll)`; exact to rounding also where pitch is a right angle.
-fn rpy(rotation: &Matrix3<f64>) -> [f64; 3] {
+pub(crate) fn rpy(rotation: &Matrix3<f64>) -> [f64; 3] {
     let yaw = rotation[(1, 0)].atan2(rotation[(0, 0)]);
     let (sin, cos) = yaw.sin_cos();
     let rest = Matrix3::new(cos, sin, 0.0, -sin, cos, 0.0, 0.0, 0.0, 1.0) * rotation;

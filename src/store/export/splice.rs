@@ -1,6 +1,6 @@
 //! Identified bodies into a given URDF: only its `<inertial>` elements change.
 
-use super::tree::{Tree, inverse};
+use super::tree::Tree;
 use super::urdf::{inertial, left_out};
 use super::{Arm, Exported};
 use plumbline_model::Body;
@@ -13,7 +13,7 @@ pub fn write(arm: &Arm, text: &str, document: &Document, tree: &Tree) -> Exporte
     let mut notes = Vec::new();
     let mut edits: Vec<(Range<usize>, String)> = Vec::new();
     for (segment, link) in tree.segments.iter().zip(&arm.bodies.links) {
-        let body = Body::of(link).seen_from(&inverse(&segment.placement));
+        let body = Body::of(link).seen_from(&segment.placement.inverse());
         let node = link_named(document, &segment.link);
         let (found, pad) = (child(node, "inertial"), indent(text, node) + "  ");
         let element = inertial(&body, &pad);

@@ -1,6 +1,5 @@
 //! URDF of an identified arm: its frames are the modified Denavit-Hartenberg frames, every joint's axis is z.
 
-use super::effects;
 use super::{Arm, Exported, attribute, comment, numbers, offsets, placements, rpy, validity};
 use plumbline_model::term::Entry;
 use plumbline_model::{Body, JointKind, Placement};
@@ -68,7 +67,7 @@ pub(super) fn left_out(arm: &Arm) -> Vec<String> {
         ));
     }
     notes.extend(offsets(arm));
-    notes.extend(effects::notes_of_bodies(arm.model));
+    notes.extend(arm.lacks());
     notes
 }
 
