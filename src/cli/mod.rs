@@ -9,6 +9,7 @@ mod effects;
 mod export;
 mod identify;
 mod inclinometer;
+mod manual;
 mod next;
 mod plan;
 mod postmortem;
@@ -100,6 +101,8 @@ subcommands! {
     Inclinometer => inclinometer,
     /// Send a request to a running daemon: start, stop, resume, quit, status, ...
     Command => command,
+    /// Write man pages and shell completions into a folder
+    Manual => manual,
 }
 
 /// Runs the command line and turns its outcome into an exit code: 0 success, 1 a failed job, 2 bad input.

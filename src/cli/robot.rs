@@ -186,11 +186,12 @@ fn job(name: &str, robot: &Robot, start: &[f64]) -> String {
         JointKind::Prismatic => format!("{q:?}"),
     });
     format!(
-        "# {name} in simulation: identify the base parameters of its model upright, then predict unseen motions.\n# `plumbline run FILE --set \
-         key.path=value` overrides a value for one run.\n\nrobot = \"{name}.toml\"\nmounting = \"upright\"                 # upright, wall, ceiling or {{ \
+        "# {name} in simulation, on a wall, where all base parameters are found: upright two of them have no influence. Then unseen motions are \
+         predicted, on the wall and upright.\n# `plumbline run FILE --set \
+         key.path=value` overrides a value for one run.\n\nrobot = \"{name}.toml\"\nmounting = \"wall\"                    # upright, wall, ceiling or {{ \
          rho = \"90 deg\", phi = \"0 deg\" }}\n\n[backend]\nkind = \"sim\"\narm = \"sim-{name}-arm.toml\"\npace = \"fast\"                        # or \
          \"wall-clock\"\nstart = [{}]\n\n[excitation]\nperiod = \"10 s\"\ntrajectories = 2\nperiods = 5\n\n[validation]\ntrajectories = \
-         2\nmountings = [\"upright\", \"wall\"]\n\n[output]\ndir = \"results/sim-{name}\"\n",
+         2\nmountings = [\"wall\", \"upright\"]\n\n[output]\ndir = \"results/sim-{name}\"\n",
         positions.collect::<Vec<_>>().join(", ")
     )
 }

@@ -1,7 +1,8 @@
 //! Whether the integration of an arm is stable: its step against the controller's gains, friction and the arm's inertia.
 //!
-//! Near rest the arm is `M ddq = -K q - D dq` with `D = damping + fv + 100 fc`, the slope of Coulomb friction at rest included, and once more
-//! without that slope. A step `h` of Runge-Kutta 4 multiplies each mode by `1 + z + z^2/2 + z^3/6 + z^4/24`, `z = h lambda`.
+//! Near a pose the arm is `M ddq = -K q - D dq` with `D = damping + fv`. A step `h` of Runge-Kutta 4 multiplies each mode by
+//! `1 + z + z^2/2 + z^3/6 + z^4/24`, `z = h lambda`. Coulomb friction adds its slope at rest, `100 fc`, where velocities are a few mrad/s: a step
+//! that is too long for that makes the arm chatter, within bounds.
 
 use super::aba::inverse;
 use super::commands::TICK_S;
@@ -54,11 +55,17 @@ impl Loads {
 
     /// Whether every mode decays, or stays, at every pose under these joints' gains with a step of `h` \[s\].
     pub fn stable(&self, joints: &[JointTruth], h: f64) -> bool {
-        let with = |slope: f64| {
-            let damping: Vec<f64> = joints.iter().map(|joint| joint.damping + joint.fv + slope * joint.fc).collect();
-            self.0.iter().all(|inverse| growth(inverse, joints, &damping, h) <= 1.0 + ROUNDING)
-        };
-        with(SLOPE) && with(0.0)
+        self.decays(joints, 0.0, h)
+    }
+
+    /// Whether the arm is [`stable`](Loads::stable) and does not chatter at rest either.
+    pub fn quiet(&self, joints: &[JointTruth], h: f64) -> bool {
+        self.decays(joints, SLOPE, h) && self.decays(joints, 0.0, h)
+    }
+
+    fn decays(&self, joints: &[JointTruth], slope: f64, h: f64) -> bool {
+        let damping: Vec<f64> = joints.iter().map(|joint| joint.damping + joint.fv + slope * joint.fc).collect();
+        self.0.iter().all(|inverse| growth(inverse, joints, &damping, h) <= 1.0 + ROUNDING)
     }
 
     /// The fewest steps per millisecond from `from` on that are stable.
@@ -111,13 +118,13 @@ impl Truth {
         let (name, value, unit) = match key {
             Key::Stiffness => ("stiffness", truth.stiffness, "Nm/rad"),
             Key::Damping => ("damping", truth.damping, "Nms/rad"),
-            Key::Coulomb => ("fc", truth.fc, "Nm"),
+            Key::Viscous => ("fv", truth.fv, "Nms/rad"),
         };
-        // Against this joint alone where that is unstable already: lowering its gain then helps whatever the others do.
-        let alone: Vec<JointTruth> =
-            self.joints.iter().enumerate().map(|(j, truth)| if j == joint { *truth } else { slack(truth) }).collect();
-        let joints = if loads.stable(&alone, h) { self.joints.clone() } else { alone };
-        let most = largest(&loads, joints, joint, key, h);
+        // Beside the other joints as they are; where those are unstable, too, beside joints without gains.
+        let alone = |(j, truth): (usize, &JointTruth)| if j == joint { *truth } else { slack(truth) };
+        let alone = self.joints.iter().enumerate().map(alone).collect();
+        let most = largest(&loads, self.joints.clone(), joint, key, h);
+        let most = most.or_else(|| largest(&loads, alone, joint, key, h));
         let least = loads.free(joint).fold(f64::INFINITY, f64::min);
         let steps = match loads.substeps(&self.joints, self.substeps) {
             Some(steps) => format!("; or substeps = {steps}"),
@@ -140,7 +147,7 @@ impl Truth {
 enum Key {
     Stiffness,
     Damping,
-    Coulomb,
+    Viscous,
 }
 
 /// The joint whose own mode is fastest, and the gain that makes it so.
@@ -148,10 +155,9 @@ fn fastest(loads: &Loads, joints: &[JointTruth], h: f64) -> (usize, Key) {
     let mut most = (0.0, 0, Key::Damping);
     for (joint, truth) in joints.iter().enumerate() {
         let inertia = loads.free(joint).fold(f64::INFINITY, f64::min);
-        let coulomb = SLOPE * truth.fc;
-        let damped = if truth.damping + truth.fv >= coulomb { Key::Damping } else { Key::Coulomb };
+        let damped = if truth.damping >= truth.fv { Key::Damping } else { Key::Viscous };
         let rates = [
-            (h * (truth.damping + truth.fv + coulomb) / inertia / 2.785, damped),
+            (h * (truth.damping + truth.fv) / inertia / 2.785, damped),
             (h * (truth.stiffness / inertia).sqrt() / 2.828, Key::Stiffness),
         ];
         for (rate, key) in rates {
@@ -165,7 +171,7 @@ fn fastest(loads: &Loads, joints: &[JointTruth], h: f64) -> (usize, Key) {
 
 /// A joint without controller and friction.
 fn slack(truth: &JointTruth) -> JointTruth {
-    JointTruth { stiffness: 0.0, damping: 0.0, fv: 0.0, fc: 0.0, ..*truth }
+    JointTruth { stiffness: 0.0, damping: 0.0, fv: 0.0, ..*truth }
 }
 
 /// Largest stable value of one gain, by bisection; `None` where not even zero is stable.
@@ -174,7 +180,7 @@ fn largest(loads: &Loads, mut joints: Vec<JointTruth>, joint: usize, key: Key, h
         match key {
             Key::Stiffness => &mut truth.stiffness,
             Key::Damping => &mut truth.damping,
-            Key::Coulomb => &mut truth.fc,
+            Key::Viscous => &mut truth.fv,
         }
     }
     let (mut low, mut high) = (0.0, *gain(&mut joints[joint], key));
@@ -304,10 +310,10 @@ mod tests {
     }
 
     #[test]
-    fn stiffness_and_coulomb_friction_are_named_where_they_are_the_cause() {
+    fn stiffness_and_viscous_friction_are_named_where_they_are_the_cause() {
         let bad = checked(&SHIPPED.replace("stiffness = 2500\ndamping = 17", "stiffness = 25000000\ndamping = 17"));
         assert_eq!(bad.expect_err("unstable").place, "joint 5, key `stiffness`");
-        let bad = checked(&SHIPPED.replace("fc = 0.1894", "fc = 1.894"));
-        assert_eq!(bad.expect_err("unstable").place, "joint 7, key `fc`");
+        let bad = checked(&SHIPPED.replace("fv = 0.0371", "fv = 371"));
+        assert_eq!(bad.expect_err("unstable").place, "joint 7, key `fv`");
     }
 }

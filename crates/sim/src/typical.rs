@@ -93,7 +93,7 @@ impl Truth {
         // Twenty halvings leave a millionth: the integration of a free arm is stable.
         for _ in 0..20 {
             let stable = (truth.substeps..=MAX_SUBSTEPS)
-                .find(|steps| loads.stable(&truth.joints, RESERVE * TICK_S / f64::from(*steps)));
+                .find(|steps| loads.quiet(&truth.joints, RESERVE * TICK_S / f64::from(*steps)));
             if let Some(steps) = stable {
                 truth.substeps = steps;
                 break;
