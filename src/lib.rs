@@ -25,7 +25,7 @@
 //! | `analysis` | from recorded runs to model, errors and diagnosis; shared by estimator and offline commands |
 //! | `relay` | torque, model and states across users of one machine |
 //! | [`config`], [`dataset`], [`store`], [`recording`] | files: jobs, recorded motions, models and plans, the last seconds before a fault |
-//! | `urdf` | an arm from a URDF |
+//! | [`urdf`] | an arm from a URDF |
 //! | [`report`], [`postmortem`] | report of a job; analysis of a recording |
 //! | [`inclinometer`], [`machine`], `process` | the gravity sensor; real-time fitness of the computer; log, signals and systemd |
 //!
@@ -57,6 +57,6 @@ mod relay;
 pub mod report;
 mod setup;
 pub mod store;
-mod urdf;
+pub mod urdf;
 
 pub use failure::Failure;

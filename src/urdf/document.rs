@@ -83,6 +83,15 @@ impl<'d, 'n> Urdf<'d, 'n> {
                     return Err(BadInput::new(file, format!("joint `{}`", joint.name), found, "links of this file"));
                 }
             }
+            if joints.iter().filter(|other| other.name == joint.name).count() > 1 {
+                let expected = "a name of its own for every joint";
+                return Err(BadInput::new(
+                    file,
+                    format!("joint `{}`", joint.name),
+                    "the name of several joints",
+                    expected,
+                ));
+            }
             if let Some(other) = joints.iter().find(|other| other.child == joint.child && other.name != joint.name) {
                 let place = format!("joints `{}` and `{}`", joint.name, other.name);
                 let found = format!("both carry link `{}`", joint.child);

@@ -24,6 +24,7 @@ mod plan_robots;
 mod power_cut;
 mod predict_command;
 mod reference_pages;
+mod robot_command;
 mod rounds;
 mod run_identity;
 mod undeclared_effect;

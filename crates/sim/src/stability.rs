@@ -10,7 +10,7 @@ use super::spatial::Mechanism;
 use super::truth::{JointTruth, Truth};
 use nalgebra::{Complex, DMatrix, Schur, Vector3};
 use plumbline_core::{BadInput, JointVec, MAX_JOINTS};
-use plumbline_model::Chain;
+use plumbline_model::{Chain, G};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -23,8 +23,11 @@ const ROUNDING: f64 = 1e-7;
 /// Largest number of steps in a millisecond.
 const MAX_SUBSTEPS: u32 = 1000;
 
-/// Inverse mass matrices of an arm at poses of its range.
-pub(super) struct Loads(Vec<DMatrix<f64>>);
+/// Inverse mass matrices of an arm at poses of its range, and its weight.
+pub(super) struct Loads {
+    inverses: Vec<DMatrix<f64>>,
+    gravity: JointVec,
+}
 
 impl Loads {
     /// At the start and at random poses between `low` and `high` \[rad\].
@@ -45,12 +48,20 @@ impl Loads {
             q
         };
         let poses: Vec<JointVec> = std::iter::once(*start).chain((0..POSES).map(|_| random(&mut rng))).collect();
-        Loads(poses.iter().filter_map(|q| mass(&mechanism, q).try_inverse()).collect())
+        let mut gravity = [0.0f64; MAX_JOINTS];
+        for q in &poses {
+            for direction in [Vector3::x(), Vector3::y(), Vector3::z()] {
+                let still = [0.0; MAX_JOINTS];
+                let held = inverse(&mechanism, &(G * direction), q, &still, &still);
+                gravity.iter_mut().zip(held).for_each(|(most, tau)| *most = most.max(tau.abs()));
+            }
+        }
+        Loads { inverses: poses.iter().filter_map(|q| mass(&mechanism, q).try_inverse()).collect(), gravity }
     }
 
     /// Inertia that a joint moves when all other joints are free \[kg m2\], at each pose.
     pub fn free(&self, joint: usize) -> impl Iterator<Item = f64> + '_ {
-        self.0.iter().map(move |inverse| 1.0 / inverse[(joint, joint)])
+        self.inverses.iter().map(move |inverse| 1.0 / inverse[(joint, joint)])
     }
 
     /// Whether every mode decays, or stays, at every pose under these joints' gains with a step of `h` \[s\].
@@ -65,13 +76,18 @@ impl Loads {
 
     fn decays(&self, joints: &[JointTruth], slope: f64, h: f64) -> bool {
         let damping: Vec<f64> = joints.iter().map(|joint| joint.damping + joint.fv + slope * joint.fc).collect();
-        self.0.iter().all(|inverse| growth(inverse, joints, &damping, h) <= 1.0 + ROUNDING)
+        self.inverses.iter().all(|inverse| growth(inverse, joints, &damping, h) <= 1.0 + ROUNDING)
     }
 
-    /// The fewest steps per millisecond from `from` on that are stable.
-    pub fn substeps(&self, joints: &[JointTruth], from: u32) -> Option<u32> {
+    /// Largest torque of gravity in each joint at these poses, in mountings along every axis of the base frame \[Nm\].
+    pub fn gravity(&self) -> JointVec {
+        self.gravity
+    }
+
+    /// The fewest steps per millisecond from `from` on that are stable with a step `reserve` times as long.
+    pub fn substeps(&self, joints: &[JointTruth], from: u32, reserve: f64) -> Option<u32> {
         let (mut low, mut high) = (from, from);
-        while !self.stable(joints, TICK_S / f64::from(high)) {
+        while !self.stable(joints, reserve * TICK_S / f64::from(high)) {
             if high >= MAX_SUBSTEPS {
                 return None;
             }
@@ -79,7 +95,7 @@ impl Loads {
         }
         while low < high {
             let middle = (low + high) / 2;
-            if self.stable(joints, TICK_S / f64::from(middle)) {
+            if self.stable(joints, reserve * TICK_S / f64::from(middle)) {
                 high = middle;
             } else {
                 low = middle + 1;
@@ -126,7 +142,7 @@ impl Truth {
         let most = largest(&loads, self.joints.clone(), joint, key, h);
         let most = most.or_else(|| largest(&loads, alone, joint, key, h));
         let least = loads.free(joint).fold(f64::INFINITY, f64::min);
-        let steps = match loads.substeps(&self.joints, self.substeps) {
+        let steps = match loads.substeps(&self.joints, self.substeps, 1.0) {
             Some(steps) => format!("; or substeps = {steps}"),
             None => String::new(),
         };

@@ -17,8 +17,10 @@ const VISCOUS_SHARE: f64 = 0.1;
 const MOST_DAMPED: f64 = 2.785;
 /// The step is shorter than the longest stable one by this ratio.
 const RESERVE: f64 = 1.5;
-/// Most steps per millisecond before gains are lowered.
-const MAX_SUBSTEPS: u32 = 8;
+/// Steps per millisecond that the bandwidth is chosen for.
+const USUAL_SUBSTEPS: u32 = 8;
+/// The stiffness is at least this multiple of the largest torque of gravity: an arm on its way down pulls with as much per rad.
+const STIFFNESS_PER_GRAVITY: f64 = 4.0;
 /// Friction and noise as shares of a joint's torque limit, of the order of a Panda's.
 const COULOMB_RATIO: f64 = 5e-3;
 const VISCOUS_RATIO: f64 = 2e-3;
@@ -45,10 +47,10 @@ pub struct Known<'a> {
 
 impl Truth {
     /// A simulated arm with stable gains: a joint impedance, critically damped at each joint's median inertia with the others free, of 200 rad/s
-    /// or as much as eight steps per millisecond allow.
+    /// or as much as eight steps per millisecond allow, and at least four times as stiff as gravity needs in any mounting.
     ///
-    /// Friction, where it is not known, and noise are shares of the torque limit; friction is lowered to what eight steps bear. Steps per
-    /// millisecond are the fewest from 4 on that keep the integration stable with a reserve.
+    /// Steps per millisecond are the fewest from 4 on that keep the integration stable with a reserve. Friction, where it is not known, and noise
+    /// are shares of the torque limit; friction is lowered to what these steps bear without chatter.
     pub fn typical(known: &Known) -> Truth {
         let n = known.chain.len();
         let link = |body: &Body| {
@@ -79,30 +81,33 @@ impl Truth {
             ..super::truth_file::DEFAULTS
         };
         let loads = Loads::of(known.chain, &truth, known.start, &known.limits.q_min, &known.limits.q_max);
-        let shortest = RESERVE * TICK_S / f64::from(MAX_SUBSTEPS);
+        let gravity = loads.gravity();
+        let extremes: Vec<(f64, f64)> = (0..n).map(|j| extremes(loads.free(j).collect())).collect();
+        let most_damped = |least: f64, steps: u32| MOST_DAMPED * least * f64::from(steps) / (RESERVE * TICK_S);
         for (j, joint) in truth.joints.iter_mut().enumerate() {
-            let mut inertias: Vec<f64> = loads.free(j).collect();
-            inertias.sort_by(f64::total_cmp);
-            let (Some(least), Some(median)) = (inertias.first(), inertias.get(inertias.len() / 2)) else { continue };
-            let most = MOST_DAMPED * least / shortest;
-            joint.fc = joint.fc.min(COULOMB_SHARE * most / SLOPE);
-            joint.fv = joint.fv.min(VISCOUS_SHARE * most);
-            joint.damping = (2.0 * median * MAX_BANDWIDTH_RAD_PER_S).min(DAMPING_SHARE * most);
+            let (least, median) = extremes[j];
+            let usual = DAMPING_SHARE * most_damped(least, USUAL_SUBSTEPS);
+            let needed = 2.0 * (STIFFNESS_PER_GRAVITY * gravity[j] * median).sqrt();
+            joint.damping = (2.0 * median * MAX_BANDWIDTH_RAD_PER_S).min(usual).max(needed);
             joint.stiffness = joint.damping * joint.damping / (4.0 * median);
         }
-        // Twenty halvings leave a millionth: the integration of a free arm is stable.
+        // Without friction, which is chosen for the steps.
+        let gains: Vec<JointTruth> =
+            truth.joints.iter().map(|joint| JointTruth { fv: 0.0, fc: 0.0, ..*joint }).collect();
+        truth.substeps = loads.substeps(&gains, truth.substeps, RESERVE).unwrap_or(1000);
+        for (joint, (least, _)) in truth.joints.iter_mut().zip(&extremes) {
+            let most = most_damped(*least, truth.substeps);
+            joint.fc = joint.fc.min(COULOMB_SHARE * most / SLOPE);
+            joint.fv = joint.fv.min(VISCOUS_SHARE * most);
+        }
+        // Joints that share a mode bear less than each alone.
         for _ in 0..20 {
-            let stable = (truth.substeps..=MAX_SUBSTEPS)
-                .find(|steps| loads.quiet(&truth.joints, RESERVE * TICK_S / f64::from(*steps)));
-            if let Some(steps) = stable {
-                truth.substeps = steps;
+            if loads.quiet(&truth.joints, RESERVE * TICK_S / f64::from(truth.substeps)) {
                 break;
             }
             for joint in &mut truth.joints {
-                joint.stiffness *= 0.5;
-                joint.damping *= 0.5;
-                joint.fc *= 0.5;
-                joint.fv *= 0.5;
+                joint.fc *= 0.7;
+                joint.fv *= 0.7;
             }
         }
         truth.joints.iter_mut().for_each(|joint| *joint = rounded(joint));
@@ -131,6 +136,13 @@ impl Truth {
         }
         text
     }
+}
+
+/// Smallest value and median; 1 and 1 of none.
+fn extremes(mut values: Vec<f64>) -> (f64, f64) {
+    values.sort_by(f64::total_cmp);
+    let at = |index: usize| values.get(index).copied().unwrap_or(1.0);
+    (at(0), at(values.len() / 2))
 }
 
 /// Gains, friction and noise to three digits.

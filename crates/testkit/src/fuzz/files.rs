@@ -8,6 +8,7 @@ use plumbline::config::job::Job;
 use plumbline::dataset::{Dataset, Run};
 use plumbline::store::ModelFile;
 use plumbline::store::export::tree::Tree;
+use plumbline::urdf::{Arm, Choice, Urdf};
 use plumbline_core::BadInput;
 use plumbline_excite::parse_plan;
 use plumbline_franka::limits_from_urdf;
@@ -186,7 +187,10 @@ fn read(bench: &Bench, target: usize, bytes: &[u8]) -> Result<(), String> {
             let named = |error: &dyn std::fmt::Display| format!("fuzz.urdf: {error}");
             let limits = limits_from_urdf(&text).map(drop).map_err(|error| named(&error));
             if let Ok(document) = roxmltree::Document::parse(&text) {
-                let _ = Tree::of("fuzz.urdf", &document, &bench.files.robot.chain);
+                let _ = Tree::of("fuzz.urdf", &document, &bench.files.robot);
+                if let Ok(urdf) = Urdf::of("fuzz.urdf", &document) {
+                    let _ = Arm::of(&urdf, &Choice::default()).map(|arm| arm.bodies(&urdf));
+                }
             }
             limits
         }
