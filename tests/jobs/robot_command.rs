@@ -235,9 +235,16 @@ fn a_gripper_is_held_and_its_meshes_are_found() {
     std::fs::write(place.path().join("fingers/left.obj"), "v 0.1 0 0\nv 0.1 0.01 0\nv 0.1 0 0.03\nf 1 2 3\n").unwrap();
     import(&path, &out, &["--tool", "fore", "--force"]).expect_code(0);
     let robot = Robot::load("two-fingers.toml", Some(&out)).unwrap();
-    let finger = robot.shape.capsules()[2];
-    // Twice as large, as its scale says; 1.5708 is a right angle, and axis 1 points down.
-    assert!(finger.link == 2 && (0.03..0.04).contains(&finger.radius), "{finger:?}");
+    // Twice as large, as its scale says.
+    for corner in [[0.2, 0.0, 0.0], [0.2, 0.02, 0.0], [0.2, 0.0, 0.06]].map(Vector3::from) {
+        let holds = |capsule: &plumbline_model::Capsule| {
+            let ends = [capsule.from, capsule.to].map(Vector3::from);
+            capsule.link == 2 && plumbline_model::nearest(&ends, &[corner; 2]).between.norm() <= capsule.radius
+        };
+        let fingers = &robot.shape.capsules()[2..];
+        assert!(fingers.iter().any(holds) && fingers.iter().all(|capsule| capsule.radius < 0.04), "{fingers:?}");
+    }
+    // 1.5708 is a right angle, and axis 1 points down.
     let rows: Vec<(f64, f64)> = robot.chain.joints().iter().map(|joint| (joint.a, joint.alpha)).collect();
     assert_eq!(rows, [(0.0, std::f64::consts::PI), (0.0, std::f64::consts::FRAC_PI_2)]);
     assert_eq!(robot.base, Placement::identity());

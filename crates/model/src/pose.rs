@@ -11,6 +11,8 @@ use std::f64::consts::PI;
 
 /// Random poses that are looked at.
 const POSES: usize = 600;
+/// Links nearer than this touch: motions are planned with a centimetre between them \[m\].
+const ROOM: f64 = 0.015;
 /// Pairs of links that touch in this share of them are not compared: their volumes overlap by construction.
 const ALWAYS: f64 = 0.9;
 
@@ -110,7 +112,7 @@ fn contacts<'s>(shape: &'s Shape, chain: &Chain, q: &[f64]) -> impl Iterator<Ite
     shape.pairs().iter().filter_map(move |&(i, j)| {
         let apart = nearest(&placed[i], &placed[j]).between.norm() - capsules[i].radius - capsules[j].radius;
         let links = [capsules[i].link, capsules[j].link];
-        (apart < 0.0).then(|| [links[0].min(links[1]), links[0].max(links[1])])
+        (apart < ROOM).then(|| [links[0].min(links[1]), links[0].max(links[1])])
     })
 }
 

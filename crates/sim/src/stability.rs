@@ -14,8 +14,10 @@ use plumbline_model::{Chain, G};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-/// Random poses at which the inertia is taken, besides the start.
+/// Random poses at which the inertia is taken, besides the start and those in which a joint has the smallest inertia.
 const POSES: usize = 40;
+/// Steps of the search for the pose in which a joint has the smallest inertia.
+const CLIMB: u32 = 60;
 /// Slope of `tanh(100 dq)` at rest \[s/rad\].
 pub(super) const SLOPE: f64 = 100.0;
 /// Growth of a mode in one step that rounding explains.
@@ -30,7 +32,7 @@ pub(super) struct Loads {
 }
 
 impl Loads {
-    /// At the start and at random poses between `low` and `high` \[rad\].
+    /// At the start, at random poses between `low` and `high` \[rad\], and where a search finds the smallest inertia of each joint.
     pub fn of(chain: &Chain, truth: &Truth, start: &JointVec, low: &JointVec, high: &JointVec) -> Loads {
         let n = chain.len();
         let mut mechanism = Mechanism::new(chain, &truth.inertias());
@@ -47,7 +49,27 @@ impl Loads {
             }
             q
         };
-        let poses: Vec<JointVec> = std::iter::once(*start).chain((0..POSES).map(|_| random(&mut rng))).collect();
+        let mut poses: Vec<JointVec> = std::iter::once(*start).chain((0..POSES).map(|_| random(&mut rng))).collect();
+        // From the pose with the smallest inertia of each joint on, to one in which it is smaller still.
+        let lightness =
+            |q: &JointVec, j: usize| mass(&mechanism, q).try_inverse().map_or(0.0, |inverse| inverse[(j, j)]);
+        for j in 0..n {
+            let from = poses.iter().take(POSES + 1).map(|q| (lightness(q, j), *q));
+            let Some((mut most, mut q)) = from.max_by(|a, b| a.0.total_cmp(&b.0)) else { continue };
+            for step in 0..CLIMB {
+                let size = 0.5 * (1.0 - f64::from(step) / f64::from(CLIMB));
+                let mut near = q;
+                for k in 0..n {
+                    let turned = q[k] + size * rng.random_range(-1.0..1.0);
+                    near[k] = if low[k] < high[k] { turned.clamp(low[k], high[k]) } else { turned };
+                }
+                let other = lightness(&near, j);
+                if other > most {
+                    (most, q) = (other, near);
+                }
+            }
+            poses.push(q);
+        }
         let mut gravity = [0.0f64; MAX_JOINTS];
         for q in &poses {
             for direction in [Vector3::x(), Vector3::y(), Vector3::z()] {
