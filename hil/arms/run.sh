@@ -51,7 +51,8 @@ for name in "${names[@]}"; do
     (
         cd "$out"
         "$program" plan --robot "$name-urdf.toml" --mounting wall --starts 8 --rounds 0 --out plan.toml
-        "$program" run "sim-$name-urdf.toml" --out results
+        # A short search for the motions; two of them of five periods.
+        "$program" run "sim-$name-urdf.toml" --out results --set excitation.starts=8 --set excitation.rounds=0
         "$program" export results --out exported
     ) >>"$out.log" 2>&1 || { tail -n 5 "$out.log"; failed=1; continue; }
     grep -E 'base parameters|^diagnosis|^RMS upright' "$out.log" | sed "s/^/$name: /"
