@@ -344,7 +344,7 @@ mod tests {
         // The integration itself agrees.
         assert!(driven(&with(most)) < 30.0, "{}", driven(&with(most)));
         let exploded = driven(&with(2.0 * most));
-        assert!(!(exploded < 1e3), "{exploded}");
+        assert!(exploded.is_nan() || exploded > 1e3, "{exploded}");
     }
 
     #[test]
