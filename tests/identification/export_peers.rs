@@ -129,7 +129,7 @@ fn two() -> (plumbline_model::Robot, String) {
 fn bodies_are_inserted_into_another_urdf() {
     let (robot, text) = two();
     let document = roxmltree::Document::parse(&text).unwrap();
-    let tree = tree::Tree::of("foreign.urdf", &document, &robot.chain).unwrap_or_else(|error| panic!("{error}"));
+    let tree = tree::Tree::of("foreign.urdf", &document, &robot).unwrap_or_else(|error| panic!("{error}"));
     let model = model(&robot, &[], 5);
     let found = bodies(&model);
     let arm = Arm { model: &model, bodies: &found, limits: &robot.limits, left_out: None };
@@ -174,7 +174,7 @@ fn a_urdf_of_another_arm_is_refused_by_name() {
     let (robot, text) = two();
     let refused = |text: &str, parts: &[&str]| {
         let document = roxmltree::Document::parse(text).unwrap();
-        let error = tree::Tree::of("foreign.urdf", &document, &robot.chain).unwrap_err().to_string();
+        let error = tree::Tree::of("foreign.urdf", &document, &robot).unwrap_err().to_string();
         for part in parts.iter().chain(&["foreign.urdf"]) {
             assert!(error.contains(part), "`{part}` is not in: {error}");
         }
