@@ -9,7 +9,8 @@ python=$(hil/peers/venv.sh --in python 'maturin==1.*' 'numpy==2.*' 'pytest==8.*'
 rm -rf "$wheels" && mkdir -p "$wheels" "$peer"
 "$python" -m maturin build --quiet --locked --profile dev --manifest-path crates/python/Cargo.toml --out "$wheels"
 "$python" -m pip install --quiet --disable-pip-version-check --force-reinstall --no-deps "$wheels"/*.whl
-cargo build --quiet --locked --package plumbline-robot --bin plumbline
+# As `cargo test` builds it.
+cargo build --quiet --locked --bin plumbline
 cargo build --quiet --locked --package plumbline-python --example python-peer
 target/debug/examples/python-peer expected "$peer"
 "$python" -m pytest -q -p no:cacheprovider hil/python/test_plumbline.py "$@"
