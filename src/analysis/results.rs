@@ -9,10 +9,11 @@ use crate::config::job::{Diagnosis, Job};
 use crate::dataset::columns::SERVED_TORQUES;
 use crate::dataset::{self, Dataset, Run};
 use crate::failure::Failure;
+use crate::process::progress;
 use crate::report::figures::{Figures, PlanFigure};
 use crate::report::{
     Base, Consistency, CounterExperiment, EstimatorFacts, Fit, GravityReport, Identifiability, IpcReport, LoopReport,
-    MotionUsage, Report, Round, Validation,
+    MotionUsage, Report, Round, Validation, provenance,
 };
 use crate::setup::planner::Planner;
 use crate::setup::programme::{Motion, Planned, Programme, Role, arm_limits, is_reached};
@@ -46,6 +47,8 @@ pub struct Results {
     notes: Vec<String>,
     /// The rounds before this one.
     rounds: Vec<Round>,
+    /// The command that the report names.
+    command: Option<String>,
 }
 
 impl Results {
@@ -64,7 +67,13 @@ impl Results {
             model: None,
             notes: Vec::new(),
             rounds: Vec::new(),
+            command: None,
         }
+    }
+
+    /// The command that the results are of.
+    pub fn made_by(&mut self, command: &str) {
+        self.command = Some(command.to_string());
     }
 
     /// Goes on from the results of the round before: its runs are identified from and judged by, too.
@@ -192,10 +201,11 @@ impl Results {
         if let Some((_, vertical)) = &counter {
             crate::atomic::write_result(&self.out.join("model-vertical.toml"), vertical.to_toml().as_bytes())?;
         }
-        if self.job.output.dataset {
-            dataset.write(&self.out.join("dataset")).map_err(Failure::job)?;
-        }
         let mut report = report_of(identified, self.job.mounting, &model.provenance);
+        report.provenance.insert(provenance::SOURCE.into(), provenance::source(&self.job.file).into());
+        if let Some(command) = &self.command {
+            report.provenance.insert(provenance::COMMAND.into(), command.clone().into());
+        }
         report.validate = judged.iter().map(|(run, judged)| validation(run, judged)).collect();
         report.consistency = model.consistent.as_ref().map(|found| Consistency::of_model(&model.model, found));
         report.counter_experiment = counter.map(|(facts, _)| facts);
@@ -221,7 +231,13 @@ impl Results {
             report.diagnosis = Some(diagnosed.block);
             figures.diagnosis = diagnosed.figures;
         }
-        report.write(&self.out, &figures).map_err(Failure::job)
+        report.write(&self.out, &figures).map_err(Failure::job)?;
+        // The largest of the results comes last: a full disk does not cost the others.
+        if self.job.output.dataset {
+            progress::bar("writing").busy("the dataset");
+            dataset.write(&self.out.join("dataset")).map_err(Failure::job)?;
+        }
+        Ok(())
     }
 
     /// What a motion that was not planned excites.

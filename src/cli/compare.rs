@@ -3,7 +3,7 @@
 use crate::analysis::split::find_and_judge;
 use crate::analysis::{checks, diagnosis, pipeline};
 use crate::cli::identify::recorded_data_settings;
-use crate::cli::say::say;
+use crate::cli::output::{self, Output};
 use crate::dataset::{Dataset, Run};
 use crate::failure::Failure;
 use crate::process::progress;
@@ -39,6 +39,14 @@ pub struct Options {
     /// Detection threshold in Nm: smallest RMS of an effect; by default 0.7 of the noise of the mean period
     #[arg(long, value_name = "NM")]
     threshold: Option<f64>,
+    #[command(flatten)]
+    output: Output,
+}
+
+impl Options {
+    pub(super) fn output(&self) -> &Output {
+        &self.output
+    }
 }
 
 /// Searches for changes, validates them on held-out runs and writes the results.
@@ -51,6 +59,7 @@ pub fn run(options: Options) -> Result<(), Failure> {
     let search = diagnose_settings(&options)?;
     let model = &file.model;
     checks::is_folder(&options.out)?;
+    options.output.may_replace(&options.out, &options.dataset)?;
     pipeline::check_torques(&dataset.runs.iter().collect::<Vec<_>>())?;
     let findings = checks::checked(&options.dataset, &dataset, &robot)?;
 
@@ -60,19 +69,15 @@ pub fn run(options: Options) -> Result<(), Failure> {
     let (find, judge) = find_and_judge(&held, &mut notes);
 
     let bar = progress::bar("comparing");
-    bar.at(0.05, "preparing");
+    bar.busy("preparing the runs");
     let find: Vec<&Run> = find.iter().collect();
     pipeline::check_torques(&find)?;
     let experiments = pipeline::experiments(&find, &settings)?;
     let unseen = pipeline::experiments(&judge.iter().collect::<Vec<_>>(), &settings)?;
     let trials = diagnosis::trials(&experiments, &find);
-    bar.at(0.2, "searching");
-    let steps = std::cell::Cell::new(0.2);
-    let changes = reference::changes(model, &trials, &search, &|step| {
-        steps.set(steps.get() + 0.1 * (0.9 - steps.get()));
-        bar.at(steps.get(), step.item.spec.family);
-    });
-    bar.at(0.9, "judging");
+    bar.busy("building candidates");
+    let changes = reference::changes(model, &trials, &search, &diagnosis::search_on(&bar));
+    bar.busy("testing what was found");
     let stored = Stored { model, changes: &changes.effects };
     let sessions: Vec<u32> = judge.iter().map(|run| run.session).collect();
     let unseen: Vec<(&Experiment, u32)> = unseen.iter().zip(sessions).collect();
@@ -101,7 +106,7 @@ pub fn run(options: Options) -> Result<(), Failure> {
         ));
     }
     diagnosis.notes.append(&mut notes);
-    let report = Report {
+    let mut report = Report {
         robot: robot.name.clone(),
         mounting: dataset.mounting.into(),
         base: Base::of(&after),
@@ -124,6 +129,7 @@ pub fn run(options: Options) -> Result<(), Failure> {
         provenance: provenance(&file.provenance, &robot, &dataset),
         ..Report::default()
     };
+    output::add_origin(&mut report, &options.dataset);
     std::fs::create_dir_all(&options.out)
         .map_err(|error| Failure::job(format!("{}: {error}", options.out.display())))?;
     let written = if kept.is_empty() {
@@ -155,11 +161,7 @@ pub fn run(options: Options) -> Result<(), Failure> {
     let drawn = judge.iter().take(2).map(|run| pipeline::figure_in_band(&written.model, run, &settings));
     let figures = Figures { runs: drawn.collect::<Result<_, _>>()?, ..Figures::default() };
     report.write(&options.out, &figures).map_err(Failure::job)?;
-    for line in report.summary() {
-        say!("{line}");
-    }
-    say!("report: {}", options.out.join("report.html").display());
-    Ok(())
+    options.output.show(&report, &options.out)
 }
 
 /// Reads the model, which must be of the dataset's robot.

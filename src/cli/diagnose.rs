@@ -4,6 +4,7 @@ use crate::analysis::diagnosis::{self, Diagnosed, Question};
 use crate::analysis::split::{Split, split};
 use crate::analysis::{checks, pipeline, sessions};
 use crate::cli::identify::{self, Outcome};
+use crate::cli::output::Output;
 use crate::dataset::{Dataset, Run};
 use crate::failure::Failure;
 use clap::Args;
@@ -35,6 +36,10 @@ impl Options {
     pub(super) fn out(&self) -> &Path {
         &self.identify.out
     }
+
+    pub(super) fn output(&self) -> &Output {
+        self.identify.output()
+    }
 }
 
 /// Searches for effects in recorded runs and writes the results.
@@ -52,7 +57,7 @@ pub(super) fn diagnosed(
     let robot = Robot::load(&dataset.robot, Some(&given.dataset))?;
     dataset.expect_joints(robot.chain.len())?;
     let hash = dataset.content_hash();
-    checks::is_folder(&given.out)?;
+    identify::check_out(given)?;
     let settings = identify::settings(given)?;
     let solver = identify::solver(given)?;
     let terms = match &given.terms {
@@ -104,7 +109,7 @@ pub(super) fn diagnosed(
         hash,
         settings: &settings,
     };
-    done.write(&given.out, |report| {
+    done.write(given, |report| {
         let untrusted = untrusted.iter().map(|run| run.data.name.clone());
         report.identifiability.untrusted_runs = untrusted.chain(not_valid).collect();
         report.notes.append(&mut notes);

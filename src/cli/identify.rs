@@ -4,7 +4,7 @@ use crate::analysis::checks;
 use crate::analysis::pipeline::{self, Identified, Judged};
 use crate::analysis::results::report_of;
 use crate::analysis::split::{HOLD_OUT, Split, split};
-use crate::cli::say::say;
+use crate::cli::output::{self, Output};
 use crate::dataset::{Dataset, Role, Run};
 use crate::failure::Failure;
 use crate::process::progress;
@@ -16,7 +16,7 @@ use plumbline_core::{BadInput, parallel, threads};
 use plumbline_identify::solve::Estimator;
 use plumbline_identify::{Method, Settings, solve};
 use plumbline_model::{Mounting, Robot};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 /// Options of `plumbline identify`.
 #[derive(Args)]
@@ -59,6 +59,14 @@ pub struct Options {
     /// Share of every run to validate with, if the dataset has no validation run
     #[arg(long, value_name = "SHARE", default_value_t = HOLD_OUT)]
     hold_out: f64,
+    #[command(flatten)]
+    output: Output,
+}
+
+impl Options {
+    pub(super) fn output(&self) -> &Output {
+        &self.output
+    }
 }
 
 /// Default cut-off of the torque low-pass for recorded data, which is rarely periodic \[Hz\].
@@ -76,19 +84,19 @@ pub fn run(options: Options) -> Result<(), Failure> {
     let solver = solver(&options)?;
     let terms = terms(&options, &robot)?;
     let hold_out = hold_out(&options)?;
-    checks::is_folder(&options.out)?;
+    check_out(&options)?;
     pipeline::check_channels(&to_identify(&dataset))?;
     let findings = checks::checked(&options.dataset, &dataset, &robot)?;
     let Split { identify, validate, notes } = split(&mut dataset, hold_out)?;
 
     let bar = progress::bar("identifying");
-    bar.at(0.1, "regression");
+    bar.busy("regression");
     let identified_runs: Vec<&Run> = identify.iter().collect();
     let identified = pipeline::identify(&robot, &identified_runs, &terms, &settings, &solver)?;
     let mut judged: Vec<(&Run, Judged)> = Vec::new();
     let mut untrusted = Vec::new();
     for (k, run) in validate.iter().enumerate() {
-        bar.at(0.5 + 0.5 * k as f64 / validate.len() as f64, &run.data.name);
+        bar.at(k as f64 / validate.len() as f64, &run.data.name);
         match identified.model.valid_in(&run.data.mounting) {
             Ok(()) => judged.push((run, pipeline::judge(&identified.model, run, &settings)?)),
             Err(_) => untrusted.push(run.data.name.clone()),
@@ -105,12 +113,18 @@ pub fn run(options: Options) -> Result<(), Failure> {
         hash,
         settings: &settings,
     };
-    done.write(&options.out, |report| {
+    done.write(&options, |report| {
         report.identifiability.untrusted_runs = untrusted;
         report.notes = notes;
         report.checks = findings;
         Curves::default()
     })
+}
+
+/// Refuses a folder for the results that is a file, or that holds those of another dataset.
+pub(super) fn check_out(options: &Options) -> Result<(), Failure> {
+    checks::is_folder(&options.out)?;
+    options.output.may_replace(&options.out, &options.dataset)
 }
 
 /// The runs to identify from.
@@ -132,7 +146,8 @@ pub(super) struct Outcome<'a> {
 
 impl Outcome<'_> {
     /// Writes model.toml, report.json and report.html, and prints a summary. `add` completes the report and returns its figures.
-    pub fn write(self, out: &Path, add: impl FnOnce(&mut Report) -> Curves) -> Result<(), Failure> {
+    pub fn write(self, options: &Options, add: impl FnOnce(&mut Report) -> Curves) -> Result<(), Failure> {
+        let out = &*options.out;
         let Outcome { robot, identified, runs, judged, mounting, hash, settings } = self;
         let provenance = crate::analysis::provenance(robot, Some(hash));
         let mut report = report_of(&identified, mounting, &provenance);
@@ -148,6 +163,7 @@ impl Outcome<'_> {
                 mounting: run.data.mounting.into(),
             })
             .collect();
+        output::add_origin(&mut report, &options.dataset);
         let diagnosis = add(&mut report);
         let consistent = pipeline::real_bodies(&identified);
         report.consistency = consistent.as_ref().map(|found| Consistency::of_model(&identified.model, found));
@@ -174,11 +190,7 @@ impl Outcome<'_> {
         let runs = parallel(&shown, threads(), |run| pipeline::figure_in_band(&model.model, run, settings));
         let runs = runs.into_iter().collect::<Result<_, _>>()?;
         report.write(out, &Figures { runs, plan: None, diagnosis }).map_err(Failure::job)?;
-        for line in report.summary() {
-            say!("{line}");
-        }
-        say!("report: {}", out.join("report.html").display());
-        Ok(())
+        options.output.show(&report, out)
     }
 }
 

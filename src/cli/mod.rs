@@ -10,6 +10,7 @@ mod export;
 mod identify;
 mod inclinometer;
 mod next;
+mod output;
 mod plan;
 mod postmortem;
 mod predict;
@@ -19,6 +20,7 @@ mod torque;
 
 use crate::failure::Failure;
 use crate::process::journal;
+use crate::process::progress::{self, Target};
 use crate::{daemon, estimator};
 use clap::Parser;
 use plumbline_ipc::{IpcError, runtime_dir};
@@ -96,11 +98,28 @@ subcommands! {
     Command => command,
 }
 
+impl Subcommand {
+    /// How results are shown, of a command that makes a report.
+    fn output(&self) -> Option<&output::Output> {
+        match self {
+            Subcommand::Run(options) => Some(options.output()),
+            Subcommand::Identify(options) => Some(options.output()),
+            Subcommand::Diagnose(options) => Some(options.output()),
+            Subcommand::Next(options) => Some(options.output()),
+            Subcommand::Compare(options) => Some(options.output()),
+            _ => None,
+        }
+    }
+}
+
 /// Runs the command line and turns its outcome into an exit code: 0 success, 1 a failed job, 2 bad input.
 pub fn main() -> ExitCode {
     let cli = Cli::parse();
-    let logs = matches!(cli.subcommand, Subcommand::Run(_) | Subcommand::Daemon(_) | Subcommand::Estimator(_));
-    journal::start(logs);
+    let serves = matches!(cli.subcommand, Subcommand::Run(_) | Subcommand::Daemon(_) | Subcommand::Estimator(_));
+    if cli.subcommand.output().is_some_and(|output| output.quiet) {
+        progress::send_to(Target::Nowhere);
+    }
+    journal::start(serves, cli.subcommand.output().map_or(journal::FILTER, output::Output::log_filter));
     let outcome = cli.subcommand.run();
     journal::finish(outcome.as_ref().err().map(|failure| failure as &dyn std::fmt::Display));
     outcome.map_or_else(|failure| ExitCode::from(failure.code()), |()| ExitCode::SUCCESS)

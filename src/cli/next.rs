@@ -2,6 +2,7 @@
 
 use crate::analysis::next::{self, next};
 use crate::cli::diagnose;
+use crate::cli::output::Output;
 use crate::cli::say::say;
 use crate::failure::Failure;
 use crate::process::signals::Ending;
@@ -32,6 +33,12 @@ pub struct Options {
     /// Seed of the search: the same seed finds the same motion
     #[arg(long, default_value_t = 1)]
     seed: u64,
+}
+
+impl Options {
+    pub(super) fn output(&self) -> &Output {
+        self.diagnose.output()
+    }
 }
 
 /// Diagnoses, writes the results, and writes `next.toml` beside them where something is left open.
@@ -66,7 +73,11 @@ pub fn run(options: Options) -> Result<(), Failure> {
         planned = Some(plan);
         Ok(())
     })?;
+    // Nothing but the report is JSON.
+    let silent = options.output().quiet || options.output().json;
     match planned {
+        Some(Some(plan)) if silent => save_plan(&plan, &path).map_err(Failure::job)?,
+        _ if silent => {}
         None => say!("nothing is left open: no motion is planned"),
         Some(None) => say!("no motion within the robot's limits is expected to answer what is open"),
         Some(Some(plan)) => {

@@ -11,6 +11,7 @@ use clap::{Args, ValueEnum};
 use plumbline_core::{BadInput, threads};
 use plumbline_excite::{Criterion, Fourier, Margins, Plan, PlanUsage, Progress, Search, SearchControl};
 use plumbline_model::Robot;
+use serde_json::Value;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
@@ -59,6 +60,9 @@ pub struct Options {
     /// Keep also the links from link 3 on inside the workspace box, not only the end effector
     #[arg(long)]
     links_in_box: bool,
+    /// Print condition numbers and use of the limits as JSON, one entry per plan file
+    #[arg(long)]
+    json: bool,
 }
 
 /// The criteria by their names on the command line.
@@ -107,21 +111,25 @@ pub fn run(options: Options) -> Result<(), Failure> {
     };
     let ending = Ending::interrupts()?;
     let mut done: Vec<Fourier> = Vec::new();
+    let mut written: Vec<Value> = Vec::new();
     for k in 1..=options.trajectories {
         let plan =
             options.search_one(&task, &Search { seed: search.seed + (k - 1), ..search.clone() }, &done, &ending)?;
         done.push(motion(&plan)?);
-        options.write(&plan, &options.name("", k, options.trajectories), &done, &task)?;
+        written.push(options.write(&plan, &options.name("", k, options.trajectories), &done, &task)?);
         if ending.arrived() {
             // The remaining motions are not searched.
-            return Ok(());
+            break;
         }
     }
-    for k in 1..=options.validate {
+    for k in (1..=options.validate).take_while(|_| !ending.arrived()) {
         let plan = task
             .random(&Search { seed: search.seed + VALIDATION_SEED_OFFSET + k, ..search.clone() })
             .map_err(|error| no_plan("command line", error))?;
-        options.write(&plan, &options.name("-validate", k, 100), &[], &task)?;
+        written.push(options.write(&plan, &options.name("-validate", k, 100), &[], &task)?);
+    }
+    if options.json {
+        say!("{}", serde_json::to_string_pretty(&written).map_err(Failure::job)?);
     }
     Ok(())
 }
@@ -177,17 +185,25 @@ impl Options {
         self.out.with_file_name(format!("{stem}{kind}-{k}.{extension}"))
     }
 
-    fn write(&self, plan: &Plan, path: &Path, set: &[Fourier], task: &Task) -> Result<(), Failure> {
+    /// Writes a plan and prints its figures, or returns them for `--json`. `set` are the motions so far, this one the last.
+    fn write(&self, plan: &Plan, path: &Path, set: &[Fourier], task: &Task) -> Result<Value, Failure> {
         save_plan(plan, path).map_err(Failure::job)?;
+        let together = (set.len() > 1)
+            .then(|| task.with_problem(|problem| plumbline_excite::stacked_conditions(problem, set)));
+        if self.json {
+            let facts = crate::analysis::conditions_facts;
+            return Ok(serde_json::json!({
+                "file": path, "conditions": facts(&plan.conditions), "usage": plan.usage, "with_those_before": together.as_ref().map(facts),
+            }));
+        }
         say!("{}: condition {}", path.display(), crate::analysis::conditions_text(&plan.conditions));
         if let Some(usage) = &plan.usage {
             say!("  {}", usage_text(usage));
         }
-        if set.len() > 1 {
-            let together = task.with_problem(|problem| plumbline_excite::stacked_conditions(problem, set));
+        if let Some(together) = together {
             say!("  with the {} before it: condition {}", set.len() - 1, crate::analysis::conditions_text(&together));
         }
-        Ok(())
+        Ok(Value::Null)
     }
 }
 

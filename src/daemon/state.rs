@@ -150,7 +150,7 @@ impl DaemonState {
 
     /// Takes note of a stop that the running loop, if any, has been given already.
     pub fn take_stop(&mut self, order: StopOrder, controls: Option<&Controls>) {
-        tracing::warn!(plumbline_event = "stop", "a stop was requested by {order}");
+        tracing::info!(plumbline_event = "stop", "a stop was requested by {order}");
         self.stop(controls);
     }
 
@@ -252,6 +252,10 @@ impl DaemonState {
     /// Logs news of a follower of the samples, and stops the arm where the job wants that.
     pub fn news(&mut self, news: &FollowerEvent, controls: Option<&Controls>) {
         let response = self.response_to(news);
+        if self.setup.job.backend.is_fast() && matches!(news, FollowerEvent::Silent { .. }) && response != LossResponse::Stop {
+            // Simulated time runs faster than any estimator computes.
+            return tracing::info!("{news}");
+        }
         let rule = match response {
             LossResponse::None => return tracing::info!("{news}"),
             LossResponse::Continue => "the arm goes on and the samples are kept",
@@ -326,8 +330,20 @@ impl DaemonState {
             }
             Event::Stopping { .. } => {
                 let reason = self.stops.stopped.as_deref().unwrap_or_default();
-                tracing::error!(plumbline_event = "stopping", "the arm is being stopped: {reason}");
+                match self.stop_was_requested() {
+                    true => tracing::info!(plumbline_event = "stopping", "the arm is being stopped: {reason}"),
+                    false => tracing::error!(plumbline_event = "stopping", "the arm is being stopped: {reason}"),
+                }
             }
+            Event::Stopped if self.stop_was_requested() => tracing::info!(
+                plumbline_event = "stopped",
+                "the arm is at rest; {}",
+                match self.programme.progress {
+                    Progress::Stopped => "what was left of the programme is not driven; start the daemon again, and give \
+                        `plumbline command start`",
+                    _ => "it moves again only after `plumbline command resume`",
+                }
+            ),
             Event::Stopped if self.programme.progress == Progress::Stopped => tracing::error!(
                 plumbline_event = "stopped",
                 "the arm is at rest, and what was left of the programme is not driven; see to the cause, start the daemon again, and \
@@ -344,6 +360,12 @@ impl DaemonState {
                 tracing::error!(plumbline_event = "distrusted", "{}", event_text(event));
             }
         }
+    }
+
+    /// Whether the last stop was an operator's, and no failure.
+    fn stop_was_requested(&self) -> bool {
+        let requested = [StopReason::Requested, StopReason::Quit].map(|reason| reason.to_string());
+        self.stops.stopped.as_ref().is_some_and(|stopped| requested.contains(stopped))
     }
 
     pub fn name_of(&self, motion: u32) -> Option<&str> {

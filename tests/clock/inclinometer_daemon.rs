@@ -5,7 +5,7 @@
 use nalgebra::Vector3;
 use plumbline::store::ModelFile;
 use plumbline_core::{Phase, Validity};
-use plumbline_ipc::{FeedForwardClient, FeedForwardMessage, FeedForwardSettings, Gravity, Progress, RobotId, Status};
+use plumbline_ipc::{FeedForwardClient, FeedForwardMessage, FeedForwardSettings, Gravity, Progress, RobotId};
 use plumbline_model::term::Sample;
 use plumbline_model::{Mounting, Robot, angle_between};
 use plumbline_testkit::inclinometer::Device;
@@ -127,11 +127,7 @@ fn daemon(place: &Place, bus: &SimulatedBus, sets: &[&str]) -> Running {
 }
 
 fn gravity(place: &Place) -> Option<Gravity> {
-    let done = place.command("status");
-    if done.code != Some(0) {
-        return None;
-    }
-    serde_json::from_str::<Status>(&done.out).unwrap().gravity
+    place.status()?.gravity
 }
 
 /// Waits until the daemon's word of gravity is so.

@@ -234,7 +234,7 @@ fn a_session_in_simulated_time_has_no_late_cycles() {
     (statistics.late, statistics.wake_up, fast.allocations) = (None, Distribution::default(), None);
     let of = report.control_loop.as_mut().unwrap();
     (of.pace, of.late, of.sessions) = (Pace::Fast, None, vec![fast]);
-    let message = report.summary().join("\n");
+    let message = report.in_words().join("\n");
     assert!(message.contains("as fast as possible") && message.contains("allocations not watched"), "{message}");
     let page = report.to_html(&Figures::default()).unwrap();
     assert!(!message.contains(" late") && !message.contains("wake-up") && !page.contains("wake-up, wall"), "{message}");
@@ -247,7 +247,7 @@ fn filtered_errors_are_labelled_and_not_compared_with_a_raw_floor() {
     for run in &mut report.validate {
         run.served_rms = None;
     }
-    let message = report.summary().join("\n");
+    let message = report.in_words().join("\n");
     let line = |start: &str| {
         message.lines().find(|line| line.starts_with(start)).unwrap_or_else(|| panic!("{start} in {message}"))
     };
@@ -260,7 +260,7 @@ fn filtered_errors_are_labelled_and_not_compared_with_a_raw_floor() {
     report.noise_floor.clear();
     let page = report.to_html(&Figures::default()).unwrap();
     assert!(
-        report.summary().join("\n").contains("noise floor: unknown") && page.contains("No motion of this data repeats")
+        report.in_words().join("\n").contains("noise floor: unknown") && page.contains("No motion of this data repeats")
     );
     assert!(!page.contains("<th>noise floor</th>"), "an empty column");
 }
@@ -269,7 +269,7 @@ fn filtered_errors_are_labelled_and_not_compared_with_a_raw_floor() {
 fn the_counter_experiment_names_the_joints_that_fail() {
     let mut report = report();
     let sentence = |report: &Report| {
-        report.summary().into_iter().find(|line| line.starts_with("counter-experiment")).expect("it was done")
+        report.in_words().into_iter().find(|line| line.starts_with("counter-experiment")).expect("it was done")
     };
     let message = sentence(&report);
     assert!(message.contains("57 parameters, identified upright) is refused in mounting wall"), "{message}");
@@ -298,7 +298,7 @@ fn the_parameters_of_effects_are_counted_apart() {
     let counts_of = |model: &TorqueModel| {
         let report = Report { base: Base::of(model), ..report() };
         let page = report.to_html(&Figures::default()).unwrap();
-        (report.summary()[0].clone(), report.base.count, report.base.effects, page)
+        (report.in_words()[0].clone(), report.base.count, report.base.effects, page)
     };
     let (line, count, effects, page) = counts_of(&plain);
     let counts = "59 base parameters (GBS: 45 rigid body, 14 friction)";
@@ -312,7 +312,7 @@ fn the_parameters_of_effects_are_counted_apart() {
 #[test]
 fn the_summary_says_what_the_job_promises() {
     let mut report = report();
-    let message = report.summary().join("\n");
+    let message = report.in_words().join("\n");
     let lines = [
         "59 base parameters (GBS)",
         "raw 131 (rigid body alone 123)",
@@ -330,7 +330,7 @@ fn the_summary_says_what_the_job_promises() {
     }
     report.ipc = Some(ipc(10, 9));
     report.identifiability.untrusted_runs = vec!["wall.csv".into()];
-    let message = report.summary().join("\n");
+    let message = report.in_words().join("\n");
     assert!(message.contains("10 sent, 9 received, NOT EQUAL") && message.contains("not valid: wall.csv"), "{message}");
 }
 
@@ -404,7 +404,7 @@ fn a_motion_that_excites_too_little_and_restricted_parameters_come_back_from_jso
     assert!(json.contains("\"with_friction\": null"));
     let back: Report = serde_json::from_str(&json).unwrap();
     assert_eq!(back, report);
-    let summary = back.summary().join("\n");
+    let summary = back.in_words().join("\n");
     assert!(summary.contains("estimator: huber, whose weights did not converge"), "{summary}");
     assert!(summary.contains("restricted to zero because not significant in this data: Lxy3, Lyz2"), "{summary}");
 }
@@ -451,7 +451,7 @@ fn what_the_inclinometer_did_stands_in_both_files() {
     }
     let read: Report = serde_json::from_str(&report.to_json().unwrap()).unwrap();
     assert_eq!(read, report);
-    assert!(report.summary().iter().any(|line| line.starts_with("gravity: the inclinometer measured")));
+    assert!(report.in_words().iter().any(|line| line.starts_with("gravity: the inclinometer measured")));
 
     // A socket that plays the bus is named as what it is; without an inclinometer nothing is said of one.
     let simulated = GravityReport::new(&Gravity { simulated: true, ..tilted() }, Mounting::WALL, []).unwrap();

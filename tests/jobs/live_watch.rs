@@ -127,7 +127,11 @@ fn who_is_asked_decides() {
         command.arg("--once");
         command
     });
-    let status = || serde_json::from_str::<Value>(&place.command("status").expect_code(0).out).unwrap();
+    let status = || {
+        let mut command = plumbline();
+        command.args(["command", "status", "--json", "--robot", &place.id]);
+        serde_json::from_str::<Value>(&Done::of(command).expect_code(0).out).unwrap()
+    };
     wait_for("the estimator", || (!status()["served"]["followers"].as_array().unwrap().is_empty()).then_some(()));
     // Nobody has proposed anything.
     assert_eq!(place.command("adopt").code, Some(1));

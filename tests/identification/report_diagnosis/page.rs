@@ -193,8 +193,8 @@ fn pages_of_much_little_and_odd_content() {
     asked.open = vec![Open { expected: Some(61.0), ..open }];
     let sentence = "presliding in joint 4, or stribeck in joint 4: score difference 5.10, expected with the planned motion 61.0 (24.0 answers it)";
     let asked = Report { rounds: vec![Round::of(&asked)], ..report(asked) };
-    assert!(asked.summary().iter().any(|line| *line == format!("open: {sentence}")), "{:#?}", asked.summary());
-    assert!(asked.summary().iter().any(|line| line.starts_with("round 1: ambiguous: ")
+    assert!(asked.in_words().iter().any(|line| *line == format!("open: {sentence}")), "{:#?}", asked.in_words());
+    assert!(asked.in_words().iter().any(|line| line.starts_with("round 1: ambiguous: ")
         && line.contains("; RMS on unseen runs [Nm]: ")
         && line.ends_with(&format!("; open: {sentence}"))));
     assert!(page("asked", &asked, figures()).contains(&format!("<li>{sentence}.</li>")));
