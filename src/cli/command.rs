@@ -109,7 +109,11 @@ fn words(status: &Status) -> Vec<String> {
         model => format!("model: {}{doubt}", identity(model)),
     });
     lines.extend(status.offered.as_ref().map(|offered| {
-        format!("proposed: {} ({}); `adopt` serves it, `reject` drops it", identity(offered.model), offered.proposal.what)
+        format!(
+            "proposed: {} ({}); `adopt` serves it, `reject` drops it",
+            identity(offered.model),
+            offered.proposal.what
+        )
     }));
     let Status { cycles, lost, late, dropped_records, .. } = status;
     lines.push(format!("loop: {cycles} cycles, {lost} lost, {late} late, {dropped_records} records dropped"));
@@ -155,7 +159,10 @@ mod tests {
         let offered = HeldModel { model: 7, ..HeldModel::default() };
         let status = Status { model: u64::MAX - 1, offered: Some(offered), ..Status::default() };
         let value = json(&status).unwrap();
-        assert_eq!((&value["model"], &value["offered"]["model"]), (&"fffffffffffffffe".into(), &"0000000000000007".into()));
+        assert_eq!(
+            (&value["model"], &value["offered"]["model"]),
+            (&"fffffffffffffffe".into(), &"0000000000000007".into())
+        );
         let lines = words(&status).join("\n");
         assert!(lines.contains("model: fffffffffffffffe") && lines.contains("proposed: 0000000000000007"), "{lines}");
     }

@@ -94,7 +94,11 @@ pub fn command_line() -> String {
 
 fn quoted(word: &str) -> String {
     let plain = |c: char| c.is_ascii_alphanumeric() || "-_=./,:+@%".contains(c);
-    if !word.is_empty() && word.chars().all(plain) { word.to_string() } else { format!("'{}'", word.replace('\'', r"'\''")) }
+    if !word.is_empty() && word.chars().all(plain) {
+        word.to_string()
+    } else {
+        format!("'{}'", word.replace('\'', r"'\''"))
+    }
 }
 
 /// Whether standard output takes colours: a terminal, without `NO_COLOR` (<https://no-color.org>).
@@ -121,7 +125,8 @@ fn coloured(table: &Table, colours: bool) -> Vec<String> {
 /// Opens a page as the desktop does.
 fn open(page: &Path) -> Result<(), Failure> {
     let opener = if cfg!(target_os = "macos") { "open" } else { "xdg-open" };
-    let started = Command::new(opener).arg(page).stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null()).status();
+    let started =
+        Command::new(opener).arg(page).stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null()).status();
     match started {
         Ok(status) if status.success() => Ok(()),
         Ok(status) => Err(Failure::job(format!("`{opener} {}` failed: {status}", page.display()))),
@@ -151,7 +156,9 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let out = folder.path();
         let output = Output::default();
-        let code = |output: &Output, source: &str| output.may_replace(out, Path::new(source)).map_err(|failure| failure.code());
+        let code = |output: &Output, source: &str| {
+            output.may_replace(out, Path::new(source)).map_err(|failure| failure.code())
+        };
         assert_eq!(code(&output, "/a"), Ok(()));
         let mut report = Report::default();
         for (source, own, other) in [(Some("/a"), Ok(()), Err(2)), (None, Err(2), Err(2))] {

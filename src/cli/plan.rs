@@ -188,8 +188,8 @@ impl Options {
     /// Writes a plan and prints its figures, or returns them for `--json`. `set` are the motions so far, this one the last.
     fn write(&self, plan: &Plan, path: &Path, set: &[Fourier], task: &Task) -> Result<Value, Failure> {
         save_plan(plan, path).map_err(Failure::job)?;
-        let together = (set.len() > 1)
-            .then(|| task.with_problem(|problem| plumbline_excite::stacked_conditions(problem, set)));
+        let together =
+            (set.len() > 1).then(|| task.with_problem(|problem| plumbline_excite::stacked_conditions(problem, set)));
         if self.json {
             let facts = crate::analysis::conditions_facts;
             return Ok(serde_json::json!({

@@ -252,7 +252,10 @@ impl DaemonState {
     /// Logs news of a follower of the samples, and stops the arm where the job wants that.
     pub fn news(&mut self, news: &FollowerEvent, controls: Option<&Controls>) {
         let response = self.response_to(news);
-        if self.setup.job.backend.is_fast() && matches!(news, FollowerEvent::Silent { .. }) && response != LossResponse::Stop {
+        if self.setup.job.backend.is_fast()
+            && matches!(news, FollowerEvent::Silent { .. })
+            && response != LossResponse::Stop
+        {
             // Simulated time runs faster than any estimator computes.
             return tracing::info!("{news}");
         }
@@ -339,7 +342,8 @@ impl DaemonState {
                 plumbline_event = "stopped",
                 "the arm is at rest; {}",
                 match self.programme.progress {
-                    Progress::Stopped => "what was left of the programme is not driven; start the daemon again, and give \
+                    Progress::Stopped =>
+                        "what was left of the programme is not driven; start the daemon again, and give \
                         `plumbline command start`",
                     _ => "it moves again only after `plumbline command resume`",
                 }

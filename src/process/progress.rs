@@ -169,7 +169,8 @@ mod tests {
     #[test]
     fn the_latest_stage_of_another_process_is_read() {
         let stage = |share, message: &str| Stage { title: "diagnosing".into(), share, message: message.into() };
-        let lines = [stage(Some(0.25), "5 of 20"), stage(None, "judging")].map(|one| serde_json::to_string(&one).unwrap());
+        let lines =
+            [stage(Some(0.25), "5 of 20"), stage(None, "judging")].map(|one| serde_json::to_string(&one).unwrap());
         let stages = Stages::read(std::io::Cursor::new(format!("{}\nno stage\n{}\n", lines[0], lines[1])));
         while stages.latest() != Some(stage(None, "judging")) {
             std::thread::yield_now();

@@ -94,7 +94,8 @@ impl Table {
 
 /// `59 base parameters (GBS), 2 of effects`.
 fn count(report: &Report) -> String {
-    let effects = if report.base.effects == 0 { String::new() } else { format!(", {} of effects", report.base.effects) };
+    let effects =
+        if report.base.effects == 0 { String::new() } else { format!(", {} of effects", report.base.effects) };
     format!("{} base parameters ({}){effects}", report.base.count, report.base.kind)
 }
 

@@ -110,6 +110,7 @@ fn serve(mut stream: &UnixStream, device: &Mutex<Device>, start: Instant, end: &
 fn job(place: &Place, subcommand: &str, bus: &SimulatedBus, sets: &[&str]) -> std::process::Command {
     let mut command = plumbline();
     command.args([subcommand, "config/daemon-inclinometer.toml", "--out"]).arg(place.out());
+    command.args((subcommand == "run").then_some("--verbose"));
     let own = [format!("serve.id={}", place.id), format!("inclinometer.interface=simulated:{}", bus.path)];
     // A test machine is busy: what it does to the listener is not the matter here.
     let all = ["safety.max-lost=1000", "inclinometer.heartbeat=1 s", "inclinometer.rate=10 Hz"];

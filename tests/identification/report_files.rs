@@ -260,7 +260,8 @@ fn filtered_errors_are_labelled_and_not_compared_with_a_raw_floor() {
     report.noise_floor.clear();
     let page = report.to_html(&Figures::default()).unwrap();
     assert!(
-        report.in_words().join("\n").contains("noise floor: unknown") && page.contains("No motion of this data repeats")
+        report.in_words().join("\n").contains("noise floor: unknown")
+            && page.contains("No motion of this data repeats")
     );
     assert!(!page.contains("<th>noise floor</th>"), "an empty column");
 }

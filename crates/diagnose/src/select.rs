@@ -402,15 +402,7 @@ impl<'a> Search<'a> {
         Some(now)
     }
 
-    fn record(
-        &self,
-        path: &mut Vec<Step>,
-        state: &State,
-        item: Candidate,
-        added: bool,
-        score: f64,
-        progress: &Watch,
-    ) {
+    fn record(&self, path: &mut Vec<Step>, state: &State, item: Candidate, added: bool, score: f64, progress: &Watch) {
         let unmodelled = (0..self.evidence().joints()).map(|joint| state.unmodelled(self.evidence(), joint)).sum();
         let step = Step { item, added, score, unmodelled };
         progress(Progress::Step(&step));

@@ -163,17 +163,18 @@ fn check_room(job: &Job, programme: &Programme, joints: usize, out: &Path) -> Re
     // A file system that does not tell its room is no reason to refuse.
     let Ok(system) = rustix::fs::statvfs(out) else { return Ok(()) };
     let free = system.f_bavail.saturating_mul(system.f_frsize);
-    if free >= needed {
-        return Ok(());
-    }
+    if free >= needed { Ok(()) } else { Err(no_room(out, free, needed, job.output.dataset)) }
+}
+
+fn no_room(out: &Path, free: u64, needed: u64, dataset: bool) -> Failure {
     let mega = |bytes: u64| bytes.div_ceil(1 << 20);
-    let dataset = if job.output.dataset { "; `output.dataset = false` keeps no recordings" } else { "" };
-    Err(Failure::job(format!(
+    let dataset = if dataset { "; `output.dataset = false` keeps no recordings" } else { "" };
+    Failure::job(format!(
         "{}: {} MiB are free, and the results of this job take about {} MiB; nothing was driven{dataset}",
         out.display(),
         mega(free),
         mega(needed)
-    )))
+    ))
 }
 
 fn drive(
@@ -236,4 +237,3 @@ fn drive(
     }
     outcome
 }
-

@@ -48,7 +48,9 @@ fn findings(of: &Diagnosis) -> Vec<String> {
 /// The findings for a table, the parameters first; what would have been seen where there are none.
 pub(in crate::report) fn findings_in_short(of: &Diagnosis) -> Vec<String> {
     if of.verdict == Verdict::NothingSignificant {
-        return Vec::from_iter(hardest(of).map(|(most, ..)| format!("an effect of {} Nm RMS would have been seen", digits(most))));
+        return Vec::from_iter(
+            hardest(of).map(|(most, ..)| format!("an effect of {} Nm RMS would have been seen", digits(most))),
+        );
     }
     let listed_changes = of.changes.iter().filter(|changes| !all_listed(changes, of));
     let changed = listed_changes.flat_map(|changes| &changes.effects);
@@ -65,7 +67,11 @@ pub(in crate::report) fn findings_in_short(of: &Diagnosis) -> Vec<String> {
     };
     let unexplained = of.unexplained.iter().map(|open| {
         let size = open.rms.map_or(String::new(), |rms| format!(": {} Nm", fixed(rms)));
-        let depends = if open.depends_on.is_empty() { String::new() } else { format!(" over {}", listed(open.depends_on.iter().cloned())) };
+        let depends = if open.depends_on.is_empty() {
+            String::new()
+        } else {
+            format!(" over {}", listed(open.depends_on.iter().cloned()))
+        };
         format!("unexplained in joint {}{size}{depends}", open.joint)
     });
     effects.iter().map(effect).chain(unexplained).filter(|line| !line.is_empty()).collect()

@@ -157,12 +157,7 @@ pub fn among(
 
 /// What changed between sessions: parameters are fitted to all of them together, and every family may have come with any session
 /// after the first. Nothing is found within one session.
-pub fn between_sessions(
-    structure: &Structure,
-    trials: &[Trial],
-    settings: &Settings,
-    progress: &Watch,
-) -> Changes {
+pub fn between_sessions(structure: &Structure, trials: &[Trial], settings: &Settings, progress: &Watch) -> Changes {
     let evidence = Evidence::of(structure.chain(), trials, settings.band);
     if evidence.folds().is_empty() {
         return Changes::default();
