@@ -2,6 +2,7 @@
 
 use crate::analysis::collector::Recorded;
 use crate::analysis::diagnosis::{self, Diagnosed, Question};
+use crate::analysis::drawn::{self, Durations};
 use crate::analysis::excitation::Excitation;
 use crate::analysis::next;
 use crate::analysis::pipeline::{self, Identified, Judged};
@@ -18,7 +19,7 @@ use crate::report::{
 use crate::setup::planner::Planner;
 use crate::setup::programme::{Motion, Planned, Programme, Role, arm_limits, is_reached};
 use crate::store::{ModelFile, Provenance, Validated, save_plan, uncertainty_of};
-use plumbline_core::threads;
+use plumbline_core::{Record, threads};
 use plumbline_diagnose::errors::Of;
 use plumbline_excite::{Fourier, PlanUsage, Search};
 use plumbline_identify::Settings;
@@ -27,6 +28,8 @@ use plumbline_ipc::{Status, StreamCounters};
 use plumbline_model::{Mounting, Robot};
 use std::path::{Path, PathBuf};
 
+/// Poses of the arm that are drawn along a motion.
+const POSES: usize = 100;
 /// Terms of the paper's model, besides the rigid body.
 const TERMS: [&str; 1] = ["friction"];
 
@@ -49,6 +52,7 @@ pub struct Results {
     rounds: Vec<Round>,
     /// The command that the report names.
     command: Option<String>,
+    durations: Durations,
 }
 
 impl Results {
@@ -68,7 +72,13 @@ impl Results {
             notes: Vec::new(),
             rounds: Vec::new(),
             command: None,
+            durations: Durations::default(),
         }
+    }
+
+    /// Counts the loop's durations.
+    pub fn time(&mut self, record: &Record) {
+        self.durations.add(record);
     }
 
     /// The command that the results are of.
@@ -399,6 +409,11 @@ impl Results {
             }
         }
         figures.plan = self.plan.as_ref().map(|planned| self.plan_figure(planned));
+        if let Some(run) = self.runs(Role::Identify).first() {
+            figures.friction = drawn::friction(&identified.model, run, &self.settings)?;
+        }
+        figures.correlation = drawn::correlation(&identified.identification);
+        figures.durations = self.durations.figures();
         Ok(figures)
     }
 
@@ -409,7 +424,13 @@ impl Results {
         let end_effector = (0..t.len())
             .map(|k| self.robot.chain.end_effector(&q.iter().map(|q| q[k]).collect::<Vec<_>>()).into())
             .collect();
-        PlanFigure { t, q, end_effector, workspace: Some(self.job.workspace(&self.robot.workspace)) }
+        let every = t.len().div_ceil(POSES);
+        let pose = |k: usize| drawn::pose(&self.robot.chain, &q.iter().map(|q| q[k]).collect::<Vec<_>>());
+        let poses = (0..t.len()).step_by(every).map(pose).collect();
+        let limits = &self.robot.limits;
+        let limits = (0..n).map(|j| [limits.q_min[j], limits.q_max[j]]).collect();
+        let workspace = Some(self.job.workspace(&self.robot.workspace));
+        PlanFigure { t, q, end_effector, poses, limits, workspace }
     }
 }
 

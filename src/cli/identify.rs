@@ -1,9 +1,9 @@
 //! `plumbline identify`: the identification offline, from files.
 
-use crate::analysis::checks;
 use crate::analysis::pipeline::{self, Identified, Judged};
 use crate::analysis::results::report_of;
 use crate::analysis::split::{HOLD_OUT, Split, split};
+use crate::analysis::{checks, drawn};
 use crate::cli::output::{self, Output};
 use crate::dataset::{Dataset, Role, Run};
 use crate::failure::Failure;
@@ -185,11 +185,17 @@ impl Outcome<'_> {
         };
         std::fs::create_dir_all(out).map_err(|error| Failure::job(format!("{}: {error}", out.display())))?;
         crate::atomic::write_result(&out.join("model.toml"), model.to_toml().as_bytes())?;
+        let correlation = drawn::correlation(&identified.identification);
+        let friction = match runs.first() {
+            Some(run) => drawn::friction(&model.model, run, settings)?,
+            None => Vec::new(),
+        };
         let shown = runs.iter().take(1).copied().chain(judged.iter().map(|(run, _)| *run).take(2));
         let shown: Vec<&Run> = shown.collect();
         let runs = parallel(&shown, threads(), |run| pipeline::figure_in_band(&model.model, run, settings));
         let runs = runs.into_iter().collect::<Result<_, _>>()?;
-        report.write(out, &Figures { runs, plan: None, diagnosis }).map_err(Failure::job)?;
+        let figures = Figures { runs, diagnosis, friction, correlation, ..Figures::default() };
+        report.write(out, &figures).map_err(Failure::job)?;
         options.output.show(&report, out)
     }
 }

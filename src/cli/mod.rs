@@ -14,6 +14,7 @@ mod output;
 mod plan;
 mod postmortem;
 mod predict;
+mod report;
 mod run;
 mod say;
 mod torque;
@@ -80,6 +81,8 @@ subcommands! {
     Diagnose => diagnose,
     /// Diagnose recorded data and plan the motion that would answer what is left open
     Next => next,
+    /// Compare two reports side by side
+    Report => report,
     /// Compute the torques of a model along a recorded motion
     Predict => predict,
     /// Write the identified arm as URDF, MuJoCo model or C function

@@ -139,6 +139,7 @@ fn follow(
         match stream.next(POLL_INTERVAL).map_err(Failure::job)? {
             Delivery::Records { records, .. } => {
                 for record in &records {
+                    results.time(record);
                     if let Some(recorded) = collector.take(record)
                         && let Some(why) = process_run(id, stream.epoch(), &mut results, &mut live, recorded)?
                     {

@@ -1,12 +1,16 @@
 //! `report.html`: values formatted for the template. minijinja escapes all text except the plots' SVG.
 
 use super::summary::{self, Group, against_floor, digits, groups, mean};
-use super::{Band, Figures, GravityReport, LoopReport, Report, RunGravity, diagnosis, plot};
+use super::{
+    Band, Figures, GravityReport, LoopReport, Report, RunGravity, arm, diagnosis, model_plots, plot, provenance,
+};
 use minijinja::{AutoEscape, Environment, Value, context};
 use plumbline_ipc::Session;
 use std::io;
 
 const TEMPLATE: &str = include_str!("report.html");
+pub(super) const CSS: &str = include_str!("page.css");
+const SCRIPT: &str = include_str!("page.js");
 
 pub(super) fn render(report: &Report, figures: &Figures) -> io::Result<String> {
     let mut environment = Environment::new();
@@ -17,10 +21,12 @@ pub(super) fn render(report: &Report, figures: &Figures) -> io::Result<String> {
         environment.add_template(name, text).map_err(io::Error::other)?;
     }
     let template = environment.get_template("report").map_err(io::Error::other)?;
+    let parameters_of = &report.base.parameters;
     let page = context! {
         report => Value::from(minijinja::value::Serde(report)),
-        // The diagnosis has a box of its own.
-        summary => summary::without_diagnosis(report),
+        css => safe(CSS.to_string()),
+        script => safe(SCRIPT.to_string()),
+        origin => origin(report),
         diagnosis => report.diagnosis.as_ref().map(|of| diagnosis::context(of, &figures.diagnosis)),
         notices => notices(report),
         verdicts => verdicts(report),
@@ -36,6 +42,15 @@ pub(super) fn render(report: &Report, figures: &Figures) -> io::Result<String> {
         motions => motions(report),
         runs => runs(figures),
         plan => plan(figures),
+        friction => friction(figures),
+        forest => forest(report),
+        weak => parameters_of.iter().filter(|own| model_plots::is_weak(own)).count(),
+        weak_percent => format!("{:.0}", 100.0 * model_plots::WEAK),
+        correlation => filled(model_plots::correlation(&figures.correlation, parameters_of)),
+        least_correlation => model_plots::LEAST_CORRELATION,
+        correlated => model_plots::most_correlated(&figures.correlation, parameters_of)
+            .map(|(one, other, value)| (one, other, format!("{value:.2}"))),
+        histograms => histograms(figures),
         gravity => report.gravity.as_ref().map(gravity),
         guest => report.guest.as_ref().map(summary::guest),
         control_loop => report.control_loop.as_ref().map(summary::control_loop),
@@ -68,6 +83,40 @@ fn cells(values: &[f64]) -> Vec<String> {
 
 fn name(file: &str) -> &str {
     file.strip_suffix(".csv").unwrap_or(file)
+}
+
+fn filled(svg: String) -> Option<Value> {
+    (!svg.is_empty()).then(|| safe(svg))
+}
+
+/// Where the report comes from, for its head.
+fn origin(report: &Report) -> Vec<(&'static str, String)> {
+    let keys = [
+        ("date", "date"),
+        (provenance::SOURCE, "from"),
+        (provenance::COMMAND, "command"),
+        ("dataset", "dataset, SHA-256"),
+        ("plumbline", "plumbline"),
+    ];
+    keys.iter().filter_map(|(key, name)| Some((*name, plain(report.provenance.get(*key)?)))).collect()
+}
+
+fn friction(figures: &Figures) -> Vec<Value> {
+    let joint = |of: &super::figures::FrictionFigure| {
+        context! { velocity => safe(model_plots::friction(of)), displacement => safe(model_plots::hysteresis(of)) }
+    };
+    figures.friction.iter().map(joint).collect()
+}
+
+fn forest(report: &Report) -> Vec<Value> {
+    let plots = model_plots::forest(&report.base.parameters);
+    plots.into_iter().map(|(unit, plot)| context! { unit, plot => safe(plot) }).collect()
+}
+
+fn histograms(figures: &Figures) -> Vec<Value> {
+    let plot =
+        |of: &super::figures::DurationFigure| context! { title => &of.title, plot => safe(model_plots::durations(of)) };
+    figures.durations.iter().map(plot).collect()
 }
 
 /// Rows of the data's checks.
@@ -267,6 +316,7 @@ fn parameters(report: &Report) -> Vec<Value> {
         let relative = p.std.filter(|_| p.value != 0.0).map(|std| 100.0 * std / p.value.abs());
         context! {
             symbol => &p.symbol,
+            weak => model_plots::is_weak(p),
             name => &p.name,
             value => format!("{:.decimals$}", p.value),
             std => p.std.map_or("-".to_string(), |std| format!("{std:.decimals$}")),
@@ -292,6 +342,8 @@ fn plan(figures: &Figures) -> Option<Value> {
     let plan = figures.plan.as_ref()?;
     Some(context! {
         joints => plan.q.len(),
+        arm => arm::arm(plan).map(safe),
+        limits => safe(model_plots::limits(plan)),
         workspace => plan.workspace.is_some(),
         positions => safe(plot::positions(plan)),
         side => safe(plot::path(plan, [0, 2], ["x / m", "z / m"])),

@@ -2,11 +2,15 @@
 //!
 //! The report is plain data filled by the caller; no results are computed here.
 
+mod arm;
+mod chart;
+pub mod compared;
 mod consistency;
 pub mod diagnosis;
 pub mod figures;
 mod gravity;
 mod html;
+mod model_plots;
 mod plot;
 pub mod provenance;
 mod summary;

@@ -168,6 +168,8 @@ fn figures(samples: usize) -> Figures {
             run("Validation upright-1"),
         ],
         plan: Some(PlanFigure {
+            poses: vec![vec![[0.0; 3], [0.0, 0.0, 0.3], [0.4, 0.1, 0.5]]; 10],
+            limits: vec![[-2.0, 2.0]; 7],
             t: t.clone(),
             q: (0..7).map(|j| t.iter().map(|&t| wave(j, t)).collect()).collect(),
             end_effector: t

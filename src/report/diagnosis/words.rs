@@ -354,8 +354,29 @@ fn errors(of: &Diagnosis, lines: &mut Vec<String>) {
     }
 }
 
+/// What the mean period of the joint that lacked most lacks, before and after; `None` where nothing repeats or no effect was added.
+pub(super) fn lead(of: &Diagnosis) -> Option<String> {
+    let before = |joint: &usize| of.joints[*joint].unmodelled.before.unwrap_or(0.0);
+    let worst =
+        (0..of.joints.len()).max_by(|one, other| before(one).total_cmp(&before(other))).filter(|_| grown(of))?;
+    let facts = of.joints[worst];
+    let (before, after) = (facts.unmodelled.before?, facts.unmodelled.after?);
+    facts.floor_of_mean?;
+    let (before, after) = (fixed(before), fixed(after));
+    Some(format!("Torque that repeats and is not modelled, joint {}: {before} -> {after} Nm", worst + 1))
+}
+
 /// The worst joint's error on unseen runs, and what its mean period lacks.
 pub(super) fn error(of: &Diagnosis) -> Option<String> {
+    error_with(of, true)
+}
+
+/// The worst joint's error on unseen runs alone.
+pub(super) fn error_of_runs(of: &Diagnosis) -> Option<String> {
+    error_with(of, lead(of).is_none())
+}
+
+fn error_with(of: &Diagnosis, mean_period: bool) -> Option<String> {
     let (before, after) = (&of.before, &of.after);
     let worst = worst(of, before)?;
     let band = match band_of(&of.band) {
@@ -376,7 +397,7 @@ pub(super) fn error(of: &Diagnosis) -> Option<String> {
     let next = self::worst(of, after).filter(|next| apart(*next));
     let next =
         next.map_or(String::new(), |j| format!("; worst now ({}): {}{}", j + 1, fixed(after.validate_rms[j]), with(j)));
-    let lacks = unmodelled(of, worst).unwrap_or_default();
+    let lacks = unmodelled(of, worst).filter(|_| mean_period).unwrap_or_default();
     Some(format!("{start} ({}): {figure} -> {} Nm{}{lacks}{next}", worst + 1, fixed(now), with(worst)))
 }
 
