@@ -32,7 +32,7 @@ pub fn arm(plan: &PlanFigure) -> Option<String> {
     let middle = [0, 1, 2].map(|axis| 0.5 * (low[axis] + high[axis]));
     let radius =
         [0, 1, 2].map(|axis| 0.5 * (high[axis] - low[axis])).iter().map(|half| half * half).sum::<f64>().sqrt();
-    let scale = 0.47 * SIDE / radius.max(1e-6);
+    let scale = 0.5 * SIDE / radius.max(1e-6);
     let round = |at: &[f64; 3]| at.map(|value| (value * 1e4).round() / 1e4);
     let poses: Vec<Vec<[f64; 3]>> = plan.poses.iter().map(|pose| pose.iter().map(round).collect()).collect();
     let data = json!({

@@ -9,6 +9,9 @@ const RIGHT: f64 = 14.0;
 const TOP: f64 = 10.0;
 const BOTTOM: f64 = 38.0;
 
+/// Smallest distance of two numbers on an axis, as a share of it.
+const MIN_TICK_SHARE: f64 = 0.09;
+
 /// How values become places on an axis.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Scale {
@@ -93,7 +96,9 @@ impl Axis {
                 let decades = decades.into_iter().rev().skip_while(|value| *value > self.high.max(-self.low));
                 let kept: Vec<f64> = decades.step_by(every).collect();
                 let both = kept.iter().flat_map(|value| [-value, *value]);
-                both.chain([0.0]).filter(within).collect()
+                // A number beside zero that would touch it is left out.
+                let apart = |value: &f64| (self.share(*value) - self.share(0.0)).abs() > MIN_TICK_SHARE;
+                both.filter(apart).chain([0.0]).filter(within).collect()
             }
         }
     }

@@ -93,12 +93,13 @@ fn filled(svg: String) -> Option<Value> {
 fn origin(report: &Report) -> Vec<(&'static str, String)> {
     let keys = [
         ("date", "date"),
+        ("plumbline", "plumbline"),
+        ("dataset", "dataset, begin of its SHA-256"),
         (provenance::SOURCE, "from"),
         (provenance::COMMAND, "command"),
-        ("dataset", "dataset, SHA-256"),
-        ("plumbline", "plumbline"),
     ];
-    keys.iter().filter_map(|(key, name)| Some((*name, plain(report.provenance.get(*key)?)))).collect()
+    let shown = |key: &str, text: String| if key == "dataset" { text.chars().take(16).collect() } else { text };
+    keys.iter().filter_map(|(key, name)| Some((*name, shown(key, plain(report.provenance.get(*key)?))))).collect()
 }
 
 fn friction(figures: &Figures) -> Vec<Value> {

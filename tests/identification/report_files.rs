@@ -1,7 +1,7 @@
 //! The report: the promised schema, everything inside one HTML file, text from files escaped.
 
 use plumbline::config::job::Pace;
-use plumbline::report::figures::{PlanFigure, TorqueFigure};
+use plumbline::report::figures::{Bin, DurationFigure, FrictionFigure, PlanFigure, TorqueFigure};
 use plumbline::report::*;
 use plumbline::store::ModelFile;
 use plumbline_core::{Distribution, LoopStatistics, Workspace};
@@ -43,11 +43,13 @@ fn report() -> Report {
     let mut provenance = serde_json::Map::new();
     provenance.insert("plumbline".into(), "0.1.0".into());
     provenance.insert("dataset".into(), "3f5a".repeat(16).into());
+    provenance.insert("source".into(), "/home/me/job.toml".into());
+    provenance.insert("command".into(), "plumbline run job.toml".into());
     Report {
         checks: Vec::new(),
         robot: "panda".into(),
         mounting: Mounting::WALL.into(),
-        base: Base::new("GBS", &model),
+        base: Base::new("GBS", &model).with_intervals(&[Some(0.01); 59]),
         identify: Fit {
             rms_raw: FLOOR.map(|floor| floor * 1.01).to_vec(),
             rms_filtered: FLOOR.map(|floor| floor / 30.0).to_vec(),
@@ -178,8 +180,25 @@ fn figures(samples: usize) -> Figures {
                 .collect(),
             workspace: Some(Workspace { box_min: [-0.2, -0.9, 0.0], box_max: [0.9, 0.9, 1.2], base_radius: 0.25 }),
         }),
+        friction: vec![FrictionFigure {
+            joint: 1,
+            velocity: (-4..=4).map(|k| bin(0.1 * f64::from(k))).collect(),
+            displacement: (1..=9).map(|k| bin(1e-3 * f64::from(k))).collect(),
+        }],
+        correlation: (0..59)
+            .map(|c| (0..59).map(|d| if c == d { 1.0 } else { 0.9 - 0.03 * d as f64 }).collect())
+            .collect(),
+        durations: vec![DurationFigure {
+            title: "wake-up latency".into(),
+            edges: vec![1.0, 2.0, 4.0],
+            counts: vec![9, 1],
+        }],
         ..Figures::default()
     }
+}
+
+fn bin(x: f64) -> Bin {
+    Bin { x, measured: x.signum(), deviation: 0.1, modelled: 0.9 * x.signum() }
 }
 
 #[test]
@@ -257,7 +276,7 @@ fn filtered_errors_are_labelled_and_not_compared_with_a_raw_floor() {
     assert!(!filtered.contains("noise floor"), "{filtered}");
     assert!(line("RMS wall [Nm], raw samples: 0.1").contains("of the noise floor"));
     let page = report.to_html(&Figures::default()).unwrap();
-    assert!(page.contains("unseen motions, after a 4 Hz zero-phase low-pass") && page.contains("<th>raw mean</th>"));
+    assert!(page.contains("unseen motions, after a 4 Hz zero-phase low-pass") && page.contains(">raw mean</th>"));
 
     report.noise_floor.clear();
     let page = report.to_html(&Figures::default()).unwrap();
@@ -265,7 +284,7 @@ fn filtered_errors_are_labelled_and_not_compared_with_a_raw_floor() {
         report.in_words().join("\n").contains("noise floor: unknown")
             && page.contains("No motion of this data repeats")
     );
-    assert!(!page.contains("<th>noise floor</th>"), "an empty column");
+    assert!(!page.contains(">noise floor</th>"), "an empty column");
 }
 
 #[test]
@@ -346,8 +365,19 @@ fn the_page_is_one_file_of_limited_size() {
     assert!(dir.join("report.json").exists());
     assert!(page.len() < 2_000_000, "{} bytes", page.len());
     assert!(!page.contains("src=") && !page.contains("href=") && !page.contains("@import"), "something is loaded");
-    // Seven joints in each of three runs, positions, two views of the path, the durations.
-    assert_eq!(page.matches("<svg ").count(), 3 * 7 + 3 + 1);
+    // Seven joints in each of three runs, positions, arm and limits, the durations; two of friction, one histogram, the correlation, four
+    // units.
+    assert_eq!(page.matches("<svg ").count(), 3 * 7 + 3 + 1 + 2 + 1 + 1 + 4);
+    let heads = page.matches("<th ").count() + page.matches("<th>").count();
+    let explained = page.split("<th ").skip(1).filter(|head| head.split('>').next().unwrap().contains("title=\""));
+    assert_eq!(explained.count(), heads, "a column without an explanation");
+    for id in ["arm", "arm-data", "arm-play", "arm-time"] {
+        assert_eq!(page.matches(&format!("id=\"{id}\"")).count(), 1, "{id}");
+    }
+    assert!(
+        page.matches("plumbline run job.toml").count() == 2 && page.contains("job.toml</dd>"),
+        "the page says where it is from"
+    );
     assert!(!page.contains("NaN") && !page.contains("Infinity"));
     for expected in [
         "LxxR2",
@@ -379,7 +409,7 @@ fn text_from_files_is_escaped() {
     let mut figures = figures(100);
     figures.runs[0].title = evil.into();
     let page = report.to_html(&figures).unwrap();
-    assert!(!page.contains("<script"), "unescaped");
+    assert!(!page.contains("<script>alert"), "unescaped");
     assert!(page.matches("&lt;script&gt;").count() >= 7);
 }
 

@@ -167,7 +167,7 @@ fn pages_of_much_little_and_odd_content() {
     let many = page("five-effects", &report(five()), figures());
     assert!(many.contains("<span>Ambiguous</span>: 5 effects</h2>") && many.contains("not added to the model"));
     assert!(many.contains("or load dependent friction in joint 6") && many.contains("unconfirmed (no repeats)"));
-    assert!(many.contains("position-dependent-friction of a hi\u{2026}"));
+    assert!(many.contains("position-dependent-friction of a high order in j"));
     assert_eq!(many.matches("constant speeds of 0.02").count(), 1);
 
     let mut nothing = diagnosed();
@@ -312,6 +312,6 @@ fn text_from_files_is_escaped() {
     (drawn.periods[0].trajectory, drawn.maps[0].title, drawn.maps[0].x_name) = (evil(), evil(), evil());
     (drawn.effects[0].title, drawn.effects[0].variable) = (evil(), evil());
     let page = page("evil", &report(diagnosis), drawn);
-    assert!(!page.contains("<script"), "unescaped");
+    assert!(!page.contains("<script>alert"), "unescaped");
     assert!(page.matches("&lt;script&gt;").count() >= 20, "{}", page.matches("&lt;script&gt;").count());
 }
