@@ -9,6 +9,7 @@ mod effects;
 mod export;
 mod identify;
 mod inclinometer;
+mod monitor;
 mod next;
 mod output;
 mod plan;
@@ -95,6 +96,8 @@ subcommands! {
     Effects => effects,
     /// Print the feed-forward torque that a daemon serves
     Torque => torque,
+    /// Watch a running daemon in the terminal
+    Monitor => monitor,
     /// Print the readings of a job's inclinometer
     Inclinometer => inclinometer,
     /// Send a request to a running daemon: start, stop, resume, quit, status, ...

@@ -22,6 +22,8 @@ pub struct ProgrammeState {
     /// Until when a start waits for the model's check at rest \[ns\].
     pub start_due_ns: u64,
     pub ended: Vec<u32>,
+    /// Number and samples of every motion of the programme, once it is driven.
+    pub motions: Vec<(u32, u64)>,
     /// Samples published when everything had been driven.
     pub driven: Option<u64>,
     pub recoveries: u32,
