@@ -10,6 +10,7 @@ pub mod diagnosis;
 pub mod figures;
 mod gravity;
 mod html;
+mod loop_tables;
 mod model_plots;
 mod plot;
 pub mod provenance;

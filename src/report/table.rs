@@ -206,7 +206,8 @@ fn number(value: f64) -> String {
     let size = value.abs();
     match value.is_finite() {
         false => "-".into(),
-        true if size < 9.9995 => format!("{:.3}", value + 0.0),
+        // Adding zero takes the sign from a rounded zero.
+        true if size < 9.9995 => format!("{:.3}", (value * 1e3).round() / 1e3 + 0.0),
         true if size < 99.995 => format!("{value:.2}"),
         true if size < 999.95 => format!("{value:.1}"),
         true if size < 99_999.5 => format!("{value:.0}"),

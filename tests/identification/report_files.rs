@@ -2,6 +2,7 @@
 
 use plumbline::config::job::Pace;
 use plumbline::report::figures::{Bin, DurationFigure, FrictionFigure, PlanFigure, TorqueFigure};
+use plumbline::report::table::{MAX_LINES, WIDTH};
 use plumbline::report::*;
 use plumbline::store::ModelFile;
 use plumbline_core::{Distribution, LoopStatistics, Workspace};
@@ -199,6 +200,39 @@ fn figures(samples: usize) -> Figures {
 
 fn bin(x: f64) -> Bin {
     Bin { x, measured: x.signum(), deviation: 0.1, modelled: 0.9 * x.signum() }
+}
+
+#[test]
+fn the_table_fits_a_terminal_whatever_is_in_the_report() {
+    let fits = |report: &Report| {
+        let lines = report.table().lines;
+        let wide = lines.iter().find(|line| line.chars().count() > WIDTH);
+        assert!(lines.len() <= MAX_LINES && wide.is_none(), "{lines:#?}");
+        lines
+    };
+    let mut report = report();
+    let lines = fits(&report);
+    assert!(lines[0].starts_with("panda, wall: 59 base parameters (GBS)"), "{lines:#?}");
+    let row = |lines: &[String], name: &str| lines.iter().find(|line| line.starts_with(name)).cloned();
+    let floor = row(&lines, "noise floor").unwrap();
+    assert_eq!(floor.split_whitespace().nth(2), Some("0.150"), "{floor}");
+    assert!(row(&lines, "wall, 5 unseen runs").is_some() && row(&lines, "VBS 57").is_some(), "{lines:#?}");
+    // More mountings than there are lines, long names, large torques, odd numbers.
+    let run = report.validate[0].clone();
+    for k in 0..12 {
+        let mut other = run.clone();
+        other.mounting.name = format!("rho = {k} deg, phi = 123.456 deg, a long name");
+        report.validate.push(other);
+    }
+    report.noise_floor = vec![123_456.0, 1234.5, 99.999, 9.9996, 0.0, f64::NAN, -0.0001];
+    let lines = fits(&report);
+    assert!(lines.iter().any(|line| line.ends_with("more rows with --verbose")), "{lines:#?}");
+    let floor = row(&lines, "noise floor").unwrap();
+    assert!(floor.contains(" 1e5") && floor.contains(" 1234 100.0 10.00 0.000     -"), "{floor}");
+    report.robot = "r".repeat(200);
+    report.identifiability.not_identifiable = vec!["Lxx1".into(); 3];
+    assert!(fits(&report).iter().any(|line| line.contains("3 parameters not identifiable")));
+    fits(&Report::default());
 }
 
 #[test]
