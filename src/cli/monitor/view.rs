@@ -202,7 +202,8 @@ mod tests {
 
     #[test]
     fn a_terminal_of_80_by_24_shows_every_joint_counters_latencies_and_the_log() {
-        let mut of = Watched { floor: vec![0.15; 7], ..Watched::default() };
+        let mut of = Watched::default();
+        of.floor = vec![0.15; 7];
         of.status(status(Progress::Idle));
         of.status(status(Progress::Driving));
         let mut record =
