@@ -113,9 +113,10 @@ impl Script {
         matches!(*event, Event::Ended { motion } if Some(motion) == self.idle_after) && self.awaits_model()
     }
 
-    /// A rest of so many cycles before the next motion.
+    /// A rest of so many cycles before the next motion; `None` where the way back comes next, whose end is that of the stage.
     pub fn rest(&self, ticks: u64) -> Option<Planned> {
-        self.after.front().map(|next| Planned::dwell(next.order.motion, ticks))
+        let next = self.after.front().map(|next| next.order.motion).filter(|motion| *motion != RETURN)?;
+        Some(Planned::dwell(next, ticks))
     }
 
     pub fn first_target(&self) -> Option<JointVec> {
