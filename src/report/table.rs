@@ -170,6 +170,7 @@ fn care(report: &Report) -> Option<String> {
     let inconsistent = report.consistency.as_ref().filter(|of| !of.exact).map(|of| of.distance);
     let counted = |count: usize, what: &str| (count > 0).then(|| format!("{count} {what}"));
     let parts: Vec<String> = [
+        counted(report.notes.len(), "remarks (--verbose)"),
         counted(warned, "warnings of the data's checks"),
         counted(identifiability.not_identifiable.len(), "parameters not identifiable"),
         counted(identifiability.weakly_determined.len(), "weakly determined"),

@@ -17,6 +17,7 @@ fn job(place: &Place, subcommand: &str, more: &[&str]) -> Command {
     place.reuse_plans(JOB, &sets);
     let mut command = plumbline();
     command.arg(subcommand).arg(JOB).arg("--out").arg(place.out());
+    command.args((subcommand == "run").then_some("--verbose"));
     command.arg("--set").arg(format!("serve.id={}", place.id));
     for set in sets {
         command.arg("--set").arg(set);

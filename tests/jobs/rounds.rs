@@ -89,6 +89,7 @@ fn rivals_are_told_apart_by_the_motion_that_is_planned_for_them() {
         let mut command = plumbline();
         command.arg("next").arg(dataset).arg("--out").arg(out).args([
             "--verbose",
+            "--force",
             "--period",
             "5",
             "--starts",
