@@ -149,7 +149,7 @@ fn a_job_on_franka_sim_keeps_the_limits_that_it_serves() {
         let server = Server::start(command, &address, "franka-sim-job.log");
         let out = folder.path().join(attempt.to_string());
         let mut job = plumbline();
-        job.args(["run", "config/fr3.toml", "--out"]).arg(&out);
+        job.args(["run", "--verbose", "config/fr3.toml", "--out"]).arg(&out);
         for set in [
             format!("serve.id=franka-sim-job-{}", std::process::id()),
             format!("backend.franka.address={address}"),

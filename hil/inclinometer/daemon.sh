@@ -15,7 +15,7 @@ PLUMBLINE_LOG=info plumbline daemon daemon-inclinometer.toml --set inclinometer.
     --set realtime.priority=0 --set "inclinometer.rate=10 Hz" --set "inclinometer.heartbeat=1 s" --set excitation.starts=1 --set excitation.rounds=0 --model models/panda-paper-table3.toml --out /tmp/out > /tmp/daemon 2>&1 &
 look() { # SECONDS
     sleep "$1"
-    status=$(plumbline command status)
+    status=$(plumbline command status --json)
     echo "$status" | tr -d ' \n' | sed -n 's/.*"mounting":{\([^}]*\)},"gravity":{"source":"\([a-z]*\)","inclinometer":"\([^"]*\)".*"torques":\([^]]*\]\|null\),"refused":\("[^"]*"\|null\).*/    \1 | \2 | \3 | torques \4 | refused \5/p'
 }
 served() { plumbline torque --follow --rate 20 --count 3 | tail -n 1; }

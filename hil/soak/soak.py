@@ -25,7 +25,7 @@ def descriptors(pid):
 
 
 def command(program, what, robot):
-    return subprocess.run([program, "command", what, "--robot", robot], capture_output=True, text=True)
+    return subprocess.run([program, "command", what, "--json", "--robot", robot], capture_output=True, text=True)
 
 
 def sample(pid, begin, published):

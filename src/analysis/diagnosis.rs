@@ -4,17 +4,18 @@ use crate::analysis::pipeline::{self, Identified};
 use crate::analysis::split;
 use crate::dataset::Run;
 use crate::failure::Failure;
-use crate::process::progress;
+use crate::process::progress::{self, Bar};
 use plumbline_diagnose::changing::{Changing, changing, cleaned, until_the_end};
 use plumbline_diagnose::errors::Of;
 use plumbline_diagnose::figures::Curves;
 use plumbline_diagnose::outcome::Changes;
 use plumbline_diagnose::reference::{self, Stored};
-use plumbline_diagnose::{Diagnosis, Effect, Input, OpenQuestions, Trial, Verdict, diagnose};
+use plumbline_diagnose::{Diagnosis, Effect, Input, OpenQuestions, Progress, Trial, Verdict, diagnose};
 use plumbline_identify::solve::{self, ols, stack::Stack};
 use plumbline_identify::{Experiment, Settings};
 use plumbline_model::term::Motion;
 use plumbline_model::{Robot, Structure, TorqueModel};
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 pub struct Question<'a> {
     pub robot: &'a Robot,
@@ -40,7 +41,7 @@ pub struct Diagnosed {
 pub fn run(question: &Question) -> Result<Diagnosed, Failure> {
     pipeline::check_channels(question.identify)?;
     let bar = progress::bar("diagnosing");
-    bar.at(0.02, "preparing");
+    bar.busy("preparing the runs");
     let (identify, variation, unseen) = prepared(question)?;
     let notes: Vec<String> = identify.iter().chain(&unseen).filter_map(pipeline::settled).collect();
     let (identify, unseen) = (trials(&identify, question.identify), trials(&unseen, question.unseen));
@@ -54,16 +55,12 @@ pub fn run(question: &Question) -> Result<Diagnosed, Failure> {
         options: question.options,
         parts: &variation.spans(&identify),
     };
-    bar.at(0.1, "searching");
-    let share = std::cell::Cell::new(0.2);
+    bar.busy("building candidates");
+    let watch = search_on(&bar);
     let torque_limits = question.robot.limits.tau[..question.robot.chain.len()].to_vec();
     let settings = plumbline_diagnose::Settings { judged_by: question.of, torque_limits, ..question.diagnosis.clone() };
-    let outcome = diagnose(&input, &settings, &|step| {
-        share.set(share.get() + 0.15 * (0.95 - share.get()));
-        bar.at(share.get(), step.item.spec.family);
-    })
-    .map_err(Failure::job)?;
-    bar.done();
+    let outcome = diagnose(&input, &settings, &watch).map_err(Failure::job)?;
+    bar.busy("comparing runs");
     let (structure, identification) = (outcome.after.structure, outcome.after.identification);
     let after = pipeline::identified(question.robot, question.identify, structure, identification)?;
     let mut block = outcome.diagnosis;
@@ -72,6 +69,24 @@ pub fn run(question: &Question) -> Result<Diagnosed, Failure> {
     variation.add_to(&mut block, question.diagnosis.least_floor, question.diagnosis.threshold);
     question.name_disagreements(&after.model, &mut block)?;
     Ok(Diagnosed { after, block, figures: outcome.curves, open: outcome.open })
+}
+
+/// Shows a search on a bar: each comparison of candidates from 0 to 1, with its number, because nobody knows how many comparisons a search takes.
+pub fn search_on(bar: &Bar) -> impl Fn(Progress) + Sync + '_ {
+    let comparisons = AtomicUsize::new(0);
+    move |progress| match progress {
+        Progress::Step(_) => {}
+        Progress::Candidates { done, of } => {
+            // The first of a comparison.
+            let before = comparisons.fetch_add(usize::from(done == 1), Ordering::Relaxed);
+            let number = before + usize::from(done == 1);
+            if done == of {
+                bar.busy("testing what was found");
+            } else {
+                bar.at(done as f64 / of as f64, &format!("comparison {number}: {done} of {of} candidates"));
+            }
+        }
+    }
 }
 
 impl Question<'_> {

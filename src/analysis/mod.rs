@@ -3,6 +3,7 @@
 pub mod checks;
 pub mod collector;
 pub mod diagnosis;
+pub mod drawn;
 pub mod excitation;
 pub mod next;
 pub mod pipeline;

@@ -2,6 +2,7 @@
 
 use crate::analysis::collector::Recorded;
 use crate::analysis::diagnosis::{self, Diagnosed, Question};
+use crate::analysis::drawn::{self, Durations};
 use crate::analysis::excitation::Excitation;
 use crate::analysis::next;
 use crate::analysis::pipeline::{self, Identified, Judged};
@@ -9,15 +10,16 @@ use crate::config::job::{Diagnosis, Job};
 use crate::dataset::columns::SERVED_TORQUES;
 use crate::dataset::{self, Dataset, Run};
 use crate::failure::Failure;
+use crate::process::progress;
 use crate::report::figures::{Figures, PlanFigure};
 use crate::report::{
     Base, Consistency, CounterExperiment, EstimatorFacts, Fit, GravityReport, Identifiability, IpcReport, LoopReport,
-    MotionUsage, Report, Round, Validation,
+    MotionUsage, Report, Round, Validation, provenance,
 };
 use crate::setup::planner::Planner;
 use crate::setup::programme::{Motion, Planned, Programme, Role, arm_limits, is_reached};
 use crate::store::{ModelFile, Provenance, Validated, save_plan, uncertainty_of};
-use plumbline_core::threads;
+use plumbline_core::{Record, threads};
 use plumbline_diagnose::errors::Of;
 use plumbline_excite::{Fourier, PlanUsage, Search};
 use plumbline_identify::Settings;
@@ -26,6 +28,8 @@ use plumbline_ipc::{Status, StreamCounters};
 use plumbline_model::{Mounting, Robot};
 use std::path::{Path, PathBuf};
 
+/// Poses of the arm that are drawn along a motion.
+const POSES: usize = 100;
 /// Terms of the paper's model, besides the rigid body.
 const TERMS: [&str; 1] = ["friction"];
 
@@ -46,6 +50,9 @@ pub struct Results {
     notes: Vec<String>,
     /// The rounds before this one.
     rounds: Vec<Round>,
+    /// The command that the report names.
+    command: Option<String>,
+    durations: Durations,
 }
 
 impl Results {
@@ -64,7 +71,19 @@ impl Results {
             model: None,
             notes: Vec::new(),
             rounds: Vec::new(),
+            command: None,
+            durations: Durations::default(),
         }
+    }
+
+    /// Counts the loop's durations.
+    pub fn time(&mut self, record: &Record) {
+        self.durations.add(record);
+    }
+
+    /// The command that the results are of.
+    pub fn made_by(&mut self, command: &str) {
+        self.command = Some(command.to_string());
     }
 
     /// Goes on from the results of the round before: its runs are identified from and judged by, too.
@@ -192,10 +211,11 @@ impl Results {
         if let Some((_, vertical)) = &counter {
             crate::atomic::write_result(&self.out.join("model-vertical.toml"), vertical.to_toml().as_bytes())?;
         }
-        if self.job.output.dataset {
-            dataset.write(&self.out.join("dataset")).map_err(Failure::job)?;
-        }
         let mut report = report_of(identified, self.job.mounting, &model.provenance);
+        report.provenance.insert(provenance::SOURCE.into(), provenance::source(&self.job.file).into());
+        if let Some(command) = &self.command {
+            report.provenance.insert(provenance::COMMAND.into(), command.clone().into());
+        }
         report.validate = judged.iter().map(|(run, judged)| validation(run, judged)).collect();
         report.consistency = model.consistent.as_ref().map(|found| Consistency::of_model(&model.model, found));
         report.counter_experiment = counter.map(|(facts, _)| facts);
@@ -221,7 +241,13 @@ impl Results {
             report.diagnosis = Some(diagnosed.block);
             figures.diagnosis = diagnosed.figures;
         }
-        report.write(&self.out, &figures).map_err(Failure::job)
+        report.write(&self.out, &figures).map_err(Failure::job)?;
+        // The largest of the results comes last: a full disk does not cost the others.
+        if self.job.output.dataset {
+            progress::bar("writing").busy("the dataset");
+            dataset.write(&self.out.join("dataset")).map_err(Failure::job)?;
+        }
+        Ok(())
     }
 
     /// What a motion that was not planned excites.
@@ -383,6 +409,11 @@ impl Results {
             }
         }
         figures.plan = self.plan.as_ref().map(|planned| self.plan_figure(planned));
+        if let Some(run) = self.runs(Role::Identify).first() {
+            figures.friction = drawn::friction(&identified.model, run, &self.settings)?;
+        }
+        figures.correlation = drawn::correlation(&identified.identification);
+        figures.durations = self.durations.figures();
         Ok(figures)
     }
 
@@ -393,7 +424,13 @@ impl Results {
         let end_effector = (0..t.len())
             .map(|k| self.robot.chain.end_effector(&q.iter().map(|q| q[k]).collect::<Vec<_>>()).into())
             .collect();
-        PlanFigure { t, q, end_effector, workspace: Some(self.job.workspace(&self.robot.workspace)) }
+        let every = t.len().div_ceil(POSES);
+        let pose = |k: usize| drawn::pose(&self.robot.chain, &q.iter().map(|q| q[k]).collect::<Vec<_>>());
+        let poses = (0..t.len()).step_by(every).map(pose).collect();
+        let limits = &self.robot.limits;
+        let limits = (0..n).map(|j| [limits.q_min[j], limits.q_max[j]]).collect();
+        let workspace = Some(self.job.workspace(&self.robot.workspace));
+        PlanFigure { t, q, end_effector, poses, limits, workspace }
     }
 }
 

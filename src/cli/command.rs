@@ -3,7 +3,8 @@
 use crate::cli::say::say;
 use crate::failure::Failure;
 use clap::{Args, ValueEnum};
-use plumbline_ipc::{Client, IpcError, Request, Response, RobotId, StopError, StopPath};
+use plumbline_ipc::{Client, IpcError, Progress, Request, Response, RobotId, Status, StopError, StopPath};
+use serde_json::Value;
 use std::time::Duration;
 
 /// Options of `plumbline command`.
@@ -15,6 +16,9 @@ pub struct Options {
     /// Robot that the daemon drives
     #[arg(long, default_value = "panda")]
     robot: String,
+    /// Print the whole status as JSON, identities of models as hexadecimal text
+    #[arg(long)]
+    json: bool,
 }
 
 #[derive(Clone, Copy, ValueEnum)]
@@ -33,7 +37,7 @@ enum Action {
     Reject,
     /// Write a recording of the last seconds, as after a fault
     Record,
-    /// Print the daemon's status as JSON
+    /// Print the daemon's status
     Status,
 }
 
@@ -59,8 +63,12 @@ pub fn run(options: Options) -> Result<(), Failure> {
         answer => answer.map_err(Failure::job)?,
     };
     match answer {
+        Response::Status(status) if options.json => {
+            say!("{}", serde_json::to_string_pretty(&json(&status)?).map_err(Failure::job)?);
+            Ok(())
+        }
         Response::Status(status) => {
-            say!("{}", serde_json::to_string_pretty(&status).map_err(Failure::job)?);
+            words(&status).iter().for_each(|line| say!("{line}"));
             Ok(())
         }
         Response::Refused { reason } => Err(Failure::job(reason)),
@@ -69,6 +77,60 @@ pub fn run(options: Options) -> Result<(), Failure> {
             Ok(())
         }
     }
+}
+
+/// A status as JSON. Identities of models are hexadecimal text, as in every log: many readers of JSON keep 53 bits of a number.
+fn json(status: &Status) -> Result<Value, Failure> {
+    let mut value = serde_json::to_value(status).map_err(Failure::job)?;
+    value["model"] = identity(status.model).into();
+    if let Some(offered) = &status.offered {
+        value["offered"]["model"] = identity(offered.model).into();
+    }
+    Ok(value)
+}
+
+fn identity(model: u64) -> String {
+    format!("{model:016x}")
+}
+
+/// A status in a few lines.
+fn words(status: &Status) -> Vec<String> {
+    let progress = match status.progress {
+        Progress::Idle => "not started",
+        Progress::Driving => "driving",
+        Progress::AwaitingModel => "holding until the estimator gives a model",
+        Progress::Done => "everything was driven",
+        Progress::Stopped => "stopped",
+    };
+    let mut lines = vec![format!("{}: {progress}; {} (process {})", status.robot, status.job, status.process)];
+    let doubt = status.doubt.as_ref().map_or(String::new(), |why| format!(", doubtful: {why}"));
+    lines.push(match status.model {
+        0 => "model: none".into(),
+        model => format!("model: {}{doubt}", identity(model)),
+    });
+    lines.extend(status.offered.as_ref().map(|offered| {
+        format!(
+            "proposed: {} ({}); `adopt` serves it, `reject` drops it",
+            identity(offered.model),
+            offered.proposal.what
+        )
+    }));
+    let Status { cycles, lost, late, dropped_records, .. } = status;
+    lines.push(format!("loop: {cycles} cycles, {lost} lost, {late} late, {dropped_records} records dropped"));
+    if let Some(gravity) = &status.gravity {
+        let refused = gravity.refused.as_ref().map_or(String::new(), |why| format!("; the model is not served: {why}"));
+        let sensor = gravity.inclinometer.as_ref().map_or(String::new(), |state| format!("; inclinometer: {state}"));
+        lines.push(format!("gravity: {}{sensor}{refused}", gravity.source));
+    }
+    let followers: Vec<String> =
+        status.served.followers.iter().map(|one| format!("{} (process {})", one.name, one.pid)).collect();
+    if !followers.is_empty() {
+        lines.push(format!("followers: {}", followers.join(", ")));
+    }
+    lines.extend(status.guest.as_ref().and_then(|guest| guest.problem.as_ref()).map(|why| format!("listening: {why}")));
+    lines.extend(status.degraded.iter().map(|why| format!("degraded, not real-time: {why}")));
+    lines.extend(status.stopped.as_ref().map(|why| format!("last stop: {why}")));
+    lines
 }
 
 /// Stops the arm over the stop socket, or by a signal if that fails.
@@ -85,4 +147,23 @@ fn stop(id: &RobotId) -> Result<(), Failure> {
         ),
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use plumbline_ipc::HeldModel;
+
+    #[test]
+    fn identities_of_models_are_text_that_every_reader_of_json_keeps() {
+        let offered = HeldModel { model: 7, ..HeldModel::default() };
+        let status = Status { model: u64::MAX - 1, offered: Some(offered), ..Status::default() };
+        let value = json(&status).unwrap();
+        assert_eq!(
+            (&value["model"], &value["offered"]["model"]),
+            (&"fffffffffffffffe".into(), &"0000000000000007".into())
+        );
+        let lines = words(&status).join("\n");
+        assert!(lines.contains("model: fffffffffffffffe") && lines.contains("proposed: 0000000000000007"), "{lines}");
+    }
 }

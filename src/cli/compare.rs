@@ -1,13 +1,30 @@
 //! `plumbline compare`: changes of the arm since a model was identified.
 
-use crate::cli::say::say_report;
+use crate::cli::output::Output;
 use crate::failure::Failure;
-pub use crate::offline::compare::Options;
-use crate::offline::compare::compare;
+use crate::offline::compare::{self, compare};
+use clap::Args;
 
-/// Writes the results and prints a summary.
+/// Options of `plumbline compare`.
+#[derive(Args)]
+#[group(skip)]
+pub struct Options {
+    #[command(flatten)]
+    work: compare::Options,
+    #[command(flatten)]
+    output: Output,
+}
+
+impl Options {
+    pub(super) fn output(&self) -> &Output {
+        &self.output
+    }
+}
+
+/// Writes the results and shows them.
 pub fn run(options: Options) -> Result<(), Failure> {
-    let report = compare(&options)?;
-    say_report(&report, options.out());
-    Ok(())
+    let Options { work, output } = options;
+    output.may_replace(work.out(), work.dataset())?;
+    let report = compare(&work)?;
+    output.show(&report, work.out())
 }

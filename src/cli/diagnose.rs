@@ -1,13 +1,30 @@
 //! `plumbline diagnose`: finds effects that a plain model of recorded data lacks, offline.
 
-use crate::cli::say::say_report;
+use crate::cli::output::Output;
 use crate::failure::Failure;
-pub use crate::offline::diagnose::Options;
-use crate::offline::diagnose::diagnose;
+use crate::offline::diagnose::{self, diagnose};
+use clap::Args;
 
-/// Writes the results and prints a summary.
+/// Options of `plumbline diagnose`.
+#[derive(Args)]
+#[group(skip)]
+pub struct Options {
+    #[command(flatten)]
+    work: diagnose::Options,
+    #[command(flatten)]
+    output: Output,
+}
+
+impl Options {
+    pub(super) fn output(&self) -> &Output {
+        &self.output
+    }
+}
+
+/// Writes the results and shows them.
 pub fn run(options: Options) -> Result<(), Failure> {
-    let report = diagnose(&options)?;
-    say_report(&report, options.out());
-    Ok(())
+    let Options { work, output } = options;
+    output.may_replace(work.out(), work.dataset())?;
+    let report = diagnose(&work)?;
+    output.show(&report, work.out())
 }

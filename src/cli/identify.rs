@@ -1,13 +1,30 @@
 //! `plumbline identify`: the identification offline, from files.
 
-use crate::cli::say::say_report;
+use crate::cli::output::Output;
 use crate::failure::Failure;
-pub use crate::offline::identify::Options;
-use crate::offline::identify::identify;
+use crate::offline::identify::{self, identify};
+use clap::Args;
 
-/// Writes the results and prints a summary.
+/// Options of `plumbline identify`.
+#[derive(Args)]
+#[group(skip)]
+pub struct Options {
+    #[command(flatten)]
+    work: identify::Options,
+    #[command(flatten)]
+    output: Output,
+}
+
+impl Options {
+    pub(super) fn output(&self) -> &Output {
+        &self.output
+    }
+}
+
+/// Writes the results and shows them.
 pub fn run(options: Options) -> Result<(), Failure> {
-    let report = identify(&options)?;
-    say_report(&report, options.out());
-    Ok(())
+    let Options { work, output } = options;
+    output.may_replace(work.out(), work.dataset())?;
+    let report = identify(&work)?;
+    output.show(&report, work.out())
 }

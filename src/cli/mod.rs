@@ -10,11 +10,14 @@ mod export;
 mod identify;
 mod inclinometer;
 mod manual;
+mod monitor;
 mod next;
+mod output;
 mod plan;
 mod postmortem;
 mod predict;
 mod relay;
+mod report;
 mod robot;
 mod run;
 mod say;
@@ -22,6 +25,7 @@ mod torque;
 
 use crate::failure::Failure;
 use crate::process::journal;
+use crate::process::progress::{self, Target};
 use crate::{daemon, estimator};
 use clap::Parser;
 use plumbline_ipc::{IpcError, runtime_dir};
@@ -83,6 +87,8 @@ subcommands! {
     Diagnose => diagnose,
     /// Diagnose recorded data and plan the motion that would answer what is left open
     Next => next,
+    /// Compare two reports side by side
+    Report => report,
     /// Compute the torques of a model along a recorded motion
     Predict => predict,
     /// Write the identified arm as URDF, MuJoCo model or C function
@@ -97,6 +103,8 @@ subcommands! {
     Torque => torque,
     /// Pass torque, model and states to and from other users of this machine
     Relay => relay,
+    /// Watch a running daemon in the terminal
+    Monitor => monitor,
     /// Print the readings of a job's inclinometer
     Inclinometer => inclinometer,
     /// Send a request to a running daemon: start, stop, resume, quit, status, ...
@@ -105,14 +113,31 @@ subcommands! {
     Manual => manual,
 }
 
+impl Subcommand {
+    /// How results are shown, of a command that makes a report.
+    fn output(&self) -> Option<&output::Output> {
+        match self {
+            Subcommand::Run(options) => Some(options.output()),
+            Subcommand::Identify(options) => Some(options.output()),
+            Subcommand::Diagnose(options) => Some(options.output()),
+            Subcommand::Next(options) => Some(options.output()),
+            Subcommand::Compare(options) => Some(options.output()),
+            _ => None,
+        }
+    }
+}
+
 /// Runs the command line and turns its outcome into an exit code: 0 success, 1 a failed job, 2 bad input.
 pub fn main() -> ExitCode {
     let cli = Cli::parse();
-    let logs = matches!(
+    let serves = matches!(
         cli.subcommand,
         Subcommand::Run(_) | Subcommand::Daemon(_) | Subcommand::Estimator(_) | Subcommand::Relay(_)
     );
-    journal::start(logs);
+    if cli.subcommand.output().is_some_and(|output| output.quiet) {
+        progress::send_to(Target::Nowhere);
+    }
+    journal::start(serves, cli.subcommand.output().map_or(journal::FILTER, output::Output::log_filter));
     let outcome = cli.subcommand.run();
     journal::finish(outcome.as_ref().err().map(|failure| failure as &dyn std::fmt::Display));
     outcome.map_or_else(|failure| ExitCode::from(failure.code()), |()| ExitCode::SUCCESS)

@@ -1,7 +1,8 @@
 //! `plumbline next`: a diagnosis, and the motion that would answer what it leaves open.
 
 use crate::analysis::next::{self, next};
-use crate::cli::say::{say, say_report};
+use crate::cli::output::Output;
+use crate::cli::say::say;
 use crate::failure::Failure;
 use crate::offline::diagnose;
 use crate::process::signals::Ending;
@@ -32,6 +33,14 @@ pub struct Options {
     /// Seed of the search: the same seed finds the same motion
     #[arg(long, default_value_t = 1)]
     seed: u64,
+    #[command(flatten)]
+    output: Output,
+}
+
+impl Options {
+    pub(super) fn output(&self) -> &Output {
+        &self.output
+    }
 }
 
 /// Diagnoses, writes the results, and writes `next.toml` beside them where something is left open.
@@ -40,6 +49,7 @@ pub fn run(options: Options) -> Result<(), Failure> {
     if !((0.1..=250.0).contains(&period) && (period * 1e3).fract().abs() < 1e-6) {
         return Err(BadInput::new("command line", "--period", period, "0.1 to 250 s, in whole milliseconds").into());
     }
+    options.output.may_replace(options.diagnose.out(), options.diagnose.dataset())?;
     let path = options.diagnose.out().join(next::FILE);
     // A plan of an earlier diagnosis would pass for the answer of this one.
     crate::atomic::remove_file(&path).map_err(Failure::job)?;
@@ -66,8 +76,12 @@ pub fn run(options: Options) -> Result<(), Failure> {
         planned = Some(plan);
         Ok(())
     })?;
-    say_report(&report, options.diagnose.out());
+    options.output.show(&report, options.diagnose.out())?;
+    // Nothing but the report is JSON.
+    let silent = options.output.quiet || options.output.json;
     match planned {
+        Some(Some(plan)) if silent => save_plan(&plan, &path).map_err(Failure::job)?,
+        _ if silent => {}
         None => say!("nothing is left open: no motion is planned"),
         Some(None) => say!("no motion within the robot's limits is expected to answer what is open"),
         Some(Some(plan)) => {

@@ -1,14 +1,16 @@
 //! `plumbline plan`: searches excitations and writes them to plan files.
 
-use crate::analysis::conditions_text;
+use crate::analysis::{conditions_facts, conditions_text};
 use crate::cli::say::say;
 use crate::failure::Failure;
 use crate::offline::plan::{self, Planned, Purpose, plan};
 use crate::process::signals::Ending;
+use crate::report::robot::unchecked;
 use crate::store::save_plan;
 use clap::Args;
 use plumbline_excite::PlanUsage;
 use plumbline_model::Robot;
+use serde_json::Value;
 use std::path::{Path, PathBuf};
 
 /// Options of `plumbline plan`.
@@ -19,19 +21,36 @@ pub struct Options {
     /// Plan file to write; several motions become plan-1.toml, plan-2.toml, .., plan-validate-1.toml, ..
     #[arg(long, value_name = "FILE")]
     out: PathBuf,
+    /// Print condition numbers and use of the limits as JSON, one entry per plan file
+    #[arg(long)]
+    json: bool,
 }
 
 /// Writes each motion when it is found. Ctrl-C ends the search with the best motion so far.
 pub fn run(options: Options) -> Result<(), Failure> {
     let robot = Robot::load(&options.plan.robot, None)?;
-    crate::report::arm::unchecked(&robot).iter().for_each(|line| say!("note: {line}"));
+    if !options.json {
+        unchecked(&robot).iter().for_each(|line| say!("note: {line}"));
+    }
     let ending = Ending::interrupts()?;
+    let mut written: Vec<Value> = Vec::new();
     plan(&options.plan, &|| ending.arrived(), &mut |planned| {
         if ending.arrived() {
             eprintln!("plumbline: interrupted; the best motion so far is kept");
         }
-        write(&planned, &file_of(&options.out, planned.purpose))
-    })
+        let path = file_of(&options.out, planned.purpose);
+        save_plan(&planned.plan, &path).map_err(Failure::job)?;
+        if options.json {
+            written.push(facts(&planned, &path));
+        } else {
+            show(&planned, &path);
+        }
+        Ok(())
+    })?;
+    if options.json {
+        say!("{}", serde_json::to_string_pretty(&written).map_err(Failure::job)?);
+    }
+    Ok(())
 }
 
 /// `plan.toml` for a motion alone, else `plan-2.toml` or `plan-validate-2.toml`.
@@ -46,8 +65,15 @@ fn file_of(out: &Path, purpose: Purpose) -> PathBuf {
     out.with_file_name(format!("{stem}{kind}-{k}.{extension}"))
 }
 
-fn write(Planned { plan, purpose, together }: &Planned, path: &Path) -> Result<(), Failure> {
-    save_plan(plan, path).map_err(Failure::job)?;
+/// Condition numbers and use of the limits, as `--json` prints them.
+fn facts(Planned { plan, together, .. }: &Planned, path: &Path) -> Value {
+    serde_json::json!({
+        "file": path, "conditions": conditions_facts(&plan.conditions), "usage": plan.usage,
+        "with_those_before": together.as_ref().map(conditions_facts),
+    })
+}
+
+fn show(Planned { plan, purpose, together }: &Planned, path: &Path) {
     say!("{}: condition {}", path.display(), conditions_text(&plan.conditions));
     if let Some(usage) = &plan.usage {
         say!("  {}", usage_text(usage));
@@ -55,7 +81,6 @@ fn write(Planned { plan, purpose, together }: &Planned, path: &Path) -> Result<(
     if let (Purpose::Identify { number, .. }, Some(together)) = (purpose, together) {
         say!("  with the {} before it: condition {}", number - 1, conditions_text(together));
     }
-    Ok(())
 }
 
 /// Shares of range and speed per joint, in one line.

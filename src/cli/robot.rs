@@ -2,7 +2,7 @@
 
 use crate::cli::say::say;
 use crate::failure::Failure;
-use crate::report::arm as page;
+use crate::report::robot as page;
 use crate::setup::backend;
 use crate::urdf::{Arm, Choice, Packages, Urdf, declared, parse, read, robot_file, volumes};
 use clap::{Args, Subcommand};

@@ -1,8 +1,5 @@
 //! Output of results. A closed or full standard output is ignored; `println!` would panic.
 
-use crate::report::Report;
-use std::path::Path;
-
 /// Prints a line to standard output and ignores errors.
 macro_rules! say {
     ($($words:tt)*) => {{
@@ -12,11 +9,3 @@ macro_rules! say {
 }
 
 pub(crate) use say;
-
-/// Prints the summary of a report and where it is.
-pub(super) fn say_report(report: &Report, out: &Path) {
-    for line in report.summary() {
-        say!("{line}");
-    }
-    say!("report: {}", out.join("report.html").display());
-}

@@ -180,6 +180,8 @@ impl Daemon {
     }
 
     fn drive(&mut self, programme: &Programme) -> Result<(), Failure> {
+        self.state.programme.motions =
+            programme.motions().map(|motion| (motion.number, motion.ticks() as u64)).collect();
         for stage in &programme.stages {
             self.state.programme.progress = Progress::Driving;
             let place = stage.mounting.to_string();

@@ -55,12 +55,14 @@ pub struct Script {
     before: VecDeque<Planned>,
     after: VecDeque<Planned>,
     barrier: Option<u32>,
+    /// The last motion that is driven without a model.
+    idle_after: Option<u32>,
 }
 
 impl Script {
     /// Nothing to drive: the loop holds.
     pub fn hold() -> Script {
-        Script { before: VecDeque::new(), after: VecDeque::new(), barrier: None }
+        Script { before: VecDeque::new(), after: VecDeque::new(), barrier: None, idle_after: None }
     }
 
     /// Approach, settle and drive every motion of the stage that is not among the `done`, then return to `rest`.
@@ -84,6 +86,7 @@ impl Script {
             script.push(Planned::follow(motion.number, &planned.fourier, periods)?);
             if motion.role == Role::Identify {
                 script.barrier = Some(motion.number);
+                script.idle_after.get_or_insert(motion.number);
             }
         }
         script.push(Planned::move_to(RETURN, rest, Phase::Return));
@@ -103,6 +106,17 @@ impl Script {
     /// Whether the only orders left are those that need the model.
     pub fn awaits_model(&self) -> bool {
         self.before.is_empty() && !self.after.is_empty()
+    }
+
+    /// Whether the loop has nothing left to drive after `event`, until there is a model.
+    pub fn is_idle_after(&self, event: &Event) -> bool {
+        matches!(*event, Event::Ended { motion } if Some(motion) == self.idle_after) && self.awaits_model()
+    }
+
+    /// A rest of so many cycles before the next motion; `None` where the way back comes next, whose end is that of the stage.
+    pub fn rest(&self, ticks: u64) -> Option<Planned> {
+        let next = self.after.front().map(|next| next.order.motion).filter(|motion| *motion != RETURN)?;
+        Some(Planned::dwell(next, ticks))
     }
 
     pub fn first_target(&self) -> Option<JointVec> {

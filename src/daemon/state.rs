@@ -22,6 +22,8 @@ pub struct ProgrammeState {
     /// Until when a start waits for the model's check at rest \[ns\].
     pub start_due_ns: u64,
     pub ended: Vec<u32>,
+    /// Number and samples of every motion of the programme, once it is driven.
+    pub motions: Vec<(u32, u64)>,
     /// Samples published when everything had been driven.
     pub driven: Option<u64>,
     pub recoveries: u32,
@@ -150,7 +152,7 @@ impl DaemonState {
 
     /// Takes note of a stop that the running loop, if any, has been given already.
     pub fn take_stop(&mut self, order: StopOrder, controls: Option<&Controls>) {
-        tracing::warn!(plumbline_event = "stop", "a stop was requested by {order}");
+        tracing::info!(plumbline_event = "stop", "a stop was requested by {order}");
         self.stop(controls);
     }
 
@@ -259,7 +261,13 @@ impl DaemonState {
             LossResponse::Stop => "the arm stops",
         };
         let words = format!("{news}; by safety.on-estimator-loss, {rule}");
-        tracing::warn!("{words}");
+        // Simulated time runs faster than any estimator computes: its silence is no trouble.
+        let is_usual = self.setup.job.backend.is_fast() && matches!(news, FollowerEvent::Silent { .. });
+        if is_usual && response != LossResponse::Stop {
+            tracing::info!("{words}");
+        } else {
+            tracing::warn!("{words}");
+        }
         self.recorder.note(&words);
         if response == LossResponse::Stop {
             self.stop_because(Reason::new(ReasonKind::EstimatorLost, words), controls);
@@ -326,8 +334,21 @@ impl DaemonState {
             }
             Event::Stopping { .. } => {
                 let reason = self.stops.stopped.as_deref().unwrap_or_default();
-                tracing::error!(plumbline_event = "stopping", "the arm is being stopped: {reason}");
+                match self.stop_was_requested() {
+                    true => tracing::info!(plumbline_event = "stopping", "the arm is being stopped: {reason}"),
+                    false => tracing::error!(plumbline_event = "stopping", "the arm is being stopped: {reason}"),
+                }
             }
+            Event::Stopped if self.stop_was_requested() => tracing::info!(
+                plumbline_event = "stopped",
+                "the arm is at rest; {}",
+                match self.programme.progress {
+                    Progress::Stopped =>
+                        "what was left of the programme is not driven; start the daemon again, and give \
+                        `plumbline command start`",
+                    _ => "it moves again only after `plumbline command resume`",
+                }
+            ),
             Event::Stopped if self.programme.progress == Progress::Stopped => tracing::error!(
                 plumbline_event = "stopped",
                 "the arm is at rest, and what was left of the programme is not driven; see to the cause, start the daemon again, and \
@@ -344,6 +365,12 @@ impl DaemonState {
                 tracing::error!(plumbline_event = "distrusted", "{}", event_text(event));
             }
         }
+    }
+
+    /// Whether the last stop was an operator's, and no failure.
+    fn stop_was_requested(&self) -> bool {
+        let requested = [StopReason::Requested, StopReason::Quit].map(|reason| reason.to_string());
+        self.stops.stopped.as_ref().is_some_and(|stopped| requested.contains(stopped))
     }
 
     pub fn name_of(&self, motion: u32) -> Option<&str> {

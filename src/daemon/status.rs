@@ -1,10 +1,20 @@
 //! The status message.
 
-use super::state::DaemonState;
+use super::state::{DaemonState, ProgrammeState};
 use plumbline_core::LoopStatistics;
 use plumbline_ipc::{GuestStatus, Mounting as MountingMessage, Served, Status, now_ns};
 use plumbline_model::Mounting;
 use plumbline_rt::Controls;
+
+impl ProgrammeState {
+    /// Time that the motions still take, in sample `tick` of `motion` \[s\].
+    fn left(&self, motion: u32, tick: u64) -> Option<f64> {
+        let open = self.motions.iter().filter(|(number, _)| !self.ended.contains(number));
+        let left =
+            |(number, ticks): &(u32, u64)| if *number == motion { ticks.saturating_sub(tick + 1) } else { *ticks };
+        (!self.motions.is_empty()).then(|| open.map(left).sum::<u64>() as f64 * 1e-3)
+    }
+}
 
 impl DaemonState {
     /// The status of the daemon; `controls` are the running loop's, where one runs.
@@ -36,6 +46,7 @@ impl DaemonState {
             stopped: self.stops.stopped.clone(),
             degraded: self.history.degraded.clone(),
             job: self.name_of(last.motion).map_or_else(|| place.clone(), |name| format!("{place}: {name}")),
+            left: self.programme.left(last.motion, last.tick),
             sessions: self.history.sessions.clone(),
             guest: self.history.guest.clone(),
             served: served.clone(),
@@ -60,6 +71,18 @@ mod tests {
     use super::super::fixture::*;
     use super::*;
     use plumbline_ipc::Session;
+
+    #[test]
+    fn the_time_left_is_that_of_motions_that_have_not_ended() {
+        let mut programme = ProgrammeState::default();
+        assert_eq!(programme.left(0, 0), None);
+        programme.motions = vec![(1, 1000), (2, 3000), (3, 500)];
+        assert_eq!(programme.left(0, 0), Some(4.5));
+        programme.ended = vec![1];
+        assert_eq!(programme.left(2, 999), Some(2.5));
+        programme.ended = vec![1, 2, 3];
+        assert_eq!(programme.left(3, 499), Some(0.0));
+    }
 
     #[test]
     fn the_status_sums_up_every_connection_and_the_running_loop() {

@@ -7,6 +7,7 @@ use crate::analysis::results::Results;
 use crate::estimator::live::{Live, OfferedModel, Verdict};
 use crate::failure::Failure;
 use crate::process::journal;
+use crate::process::progress::{self, Target};
 use crate::process::service::Service;
 use crate::setup::programme::Programme;
 use crate::setup::{JobOptions, robot_id};
@@ -31,6 +32,12 @@ pub struct Options {
     /// Results of the round before: their runs are identified from and judged by, too
     #[arg(long, value_name = "DIR", requires = "once")]
     after: Option<PathBuf>,
+    /// Write progress to standard output, for the process that has started this one
+    #[arg(long, hide = true)]
+    progress: bool,
+    /// Command to name in the report
+    #[arg(long, hide = true, value_name = "COMMAND")]
+    command: Option<String>,
 }
 
 /// Timeout of the connection to a daemon.
@@ -44,6 +51,7 @@ const POLL_INTERVAL: Duration = Duration::from_millis(200);
 
 /// Runs until the results are written with `--once`, else until it is ended.
 pub fn run(options: Options) -> Result<(), Failure> {
+    progress::send_to(if options.progress { Target::Lines } else { Target::Nowhere });
     let (job, robot, out) = options.job.load()?;
     let id = robot_id(&job)?;
     journal::about(id.as_str());
@@ -61,6 +69,7 @@ pub fn run(options: Options) -> Result<(), Failure> {
         };
         let programme = Programme::load(&job, &out.join("plans"))?;
         let mut results = Results::new(&job, &robot, &programme, &out);
+        options.command.iter().for_each(|command| results.made_by(command));
         options.after.as_deref().map_or(Ok(()), |dir| results.go_on_from(dir))?;
         let live = Live::new(&job, &robot, &out);
         service.status("follows the samples");
@@ -130,6 +139,7 @@ fn follow(
         match stream.next(POLL_INTERVAL).map_err(Failure::job)? {
             Delivery::Records { records, .. } => {
                 for record in &records {
+                    results.time(record);
                     if let Some(recorded) = collector.take(record)
                         && let Some(why) = process_run(id, stream.epoch(), &mut results, &mut live, recorded)?
                     {
@@ -228,7 +238,10 @@ fn identify(
     results: &mut Results,
     live: &mut Option<Live>,
 ) -> Result<Option<String>, Failure> {
+    let bar = progress::bar("identifying");
+    bar.busy("regression");
     let text = with_progress_log("the identification", || results.identify())?;
+    bar.done();
     if let (Some(live), Some((identified, run))) = (live.as_mut(), results.identified()) {
         let floor = identified.identification.rms.noise_floor.clone().unwrap_or_default();
         live.identified(&identified.model, &floor, &text, run)?;
@@ -251,7 +264,7 @@ fn with_progress_log<T>(what: &str, compute: impl FnOnce() -> T) -> T {
         scope.spawn(move || {
             let begin = Instant::now();
             while ended.recv_timeout(PROGRESS_LOG_INTERVAL) == Err(RecvTimeoutError::Timeout) {
-                tracing::warn!("{what} has been computing for {:.0} s", begin.elapsed().as_secs_f64());
+                tracing::info!("{what} has been computing for {:.0} s", begin.elapsed().as_secs_f64());
             }
         });
         let found = compute();

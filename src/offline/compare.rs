@@ -7,6 +7,7 @@ use crate::failure::Failure;
 use crate::offline::identify::recorded_data_settings;
 use crate::process::progress;
 use crate::report::figures::Figures;
+use crate::report::provenance::add_origin;
 use crate::report::{Band, Base, Identifiability, Report, Validation};
 use crate::store::{ModelFile, Provenance, Validated};
 use clap::Args;
@@ -45,6 +46,11 @@ impl Options {
     pub fn out(&self) -> &Path {
         &self.out
     }
+
+    /// Folder of the dataset.
+    pub fn dataset(&self) -> &Path {
+        &self.dataset
+    }
 }
 
 /// Searches for changes, validates them on held-out runs and writes `model.toml`, `report.json` and `report.html`.
@@ -69,19 +75,15 @@ pub fn compare(options: &Options) -> Result<Report, Failure> {
     let (find, judge) = find_and_judge(&held, &mut notes);
 
     let bar = progress::bar("comparing");
-    bar.at(0.05, "preparing");
+    bar.busy("preparing the runs");
     let find: Vec<&Run> = find.iter().collect();
     pipeline::check_torques(&find)?;
     let experiments = pipeline::experiments(&find, &settings)?;
     let unseen = pipeline::experiments(&judge.iter().collect::<Vec<_>>(), &settings)?;
     let trials = diagnosis::trials(&experiments, &find);
-    bar.at(0.2, "searching");
-    let steps = std::cell::Cell::new(0.2);
-    let changes = reference::changes(model, &trials, &search, &|step| {
-        steps.set(steps.get() + 0.1 * (0.9 - steps.get()));
-        bar.at(steps.get(), step.item.spec.family);
-    });
-    bar.at(0.9, "judging");
+    bar.busy("building candidates");
+    let changes = reference::changes(model, &trials, &search, &diagnosis::search_on(&bar));
+    bar.busy("testing what was found");
     let stored = Stored { model, changes: &changes.effects };
     let sessions: Vec<u32> = judge.iter().map(|run| run.session).collect();
     let unseen: Vec<(&Experiment, u32)> = unseen.iter().zip(sessions).collect();
@@ -110,7 +112,7 @@ pub fn compare(options: &Options) -> Result<Report, Failure> {
         ));
     }
     diagnosis.notes.append(&mut notes);
-    let report = Report {
+    let mut report = Report {
         robot: robot.name.clone(),
         mounting: dataset.mounting.into(),
         base: Base::of(&after),
@@ -133,6 +135,7 @@ pub fn compare(options: &Options) -> Result<Report, Failure> {
         provenance: provenance(&file.provenance, &robot, &dataset),
         ..Report::default()
     };
+    add_origin(&mut report, &options.dataset);
     std::fs::create_dir_all(&options.out)
         .map_err(|error| Failure::job(format!("{}: {error}", options.out.display())))?;
     let written = if kept.is_empty() {

@@ -36,6 +36,11 @@ impl Options {
     pub fn out(&self) -> &Path {
         &self.identify.out
     }
+
+    /// Folder of the dataset.
+    pub fn dataset(&self) -> &Path {
+        &self.identify.dataset
+    }
 }
 
 /// Searches for effects in recorded runs and writes `model.toml`, `report.json` and `report.html`.
@@ -108,7 +113,7 @@ pub(crate) fn diagnose_and_plan(
         hash,
         settings: &settings,
     };
-    done.write(&given.out, |report| {
+    done.write(given, |report| {
         let untrusted = untrusted.iter().map(|run| run.data.name.clone());
         report.identifiability.untrusted_runs = untrusted.chain(not_valid).collect();
         report.notes.append(&mut notes);

@@ -1,13 +1,14 @@
 //! Identification of recorded runs.
 
-use crate::analysis::checks;
 use crate::analysis::pipeline::{self, Identified, Judged};
 use crate::analysis::results::report_of;
 use crate::analysis::split::{HOLD_OUT, Split, split};
+use crate::analysis::{checks, drawn};
 use crate::dataset::{Dataset, Role, Run};
 use crate::failure::Failure;
 use crate::process::progress;
 use crate::report::figures::{Curves, Figures};
+use crate::report::provenance::add_origin;
 use crate::report::{Band, Consistency, Report, Validation};
 use crate::store::{ModelFile, Validated, uncertainty_of};
 use clap::Args;
@@ -70,6 +71,11 @@ impl Options {
     pub fn out(&self) -> &Path {
         &self.out
     }
+
+    /// Folder of the dataset.
+    pub fn dataset(&self) -> &Path {
+        &self.dataset
+    }
 }
 
 /// Identifies, validates and writes `model.toml`, `report.json` and `report.html`.
@@ -91,13 +97,13 @@ pub fn identify(options: &Options) -> Result<Report, Failure> {
     let Split { identify, validate, notes } = split(&mut dataset, hold_out)?;
 
     let bar = progress::bar("identifying");
-    bar.at(0.1, "regression");
+    bar.busy("regression");
     let identified_runs: Vec<&Run> = identify.iter().collect();
     let identified = pipeline::identify(&robot, &identified_runs, &terms, &settings, &solver)?;
     let mut judged: Vec<(&Run, Judged)> = Vec::new();
     let mut untrusted = Vec::new();
     for (k, run) in validate.iter().enumerate() {
-        bar.at(0.5 + 0.5 * k as f64 / validate.len() as f64, &run.data.name);
+        bar.at(k as f64 / validate.len() as f64, &run.data.name);
         match identified.model.valid_in(&run.data.mounting) {
             Ok(()) => judged.push((run, pipeline::judge(&identified.model, run, &settings)?)),
             Err(_) => untrusted.push(run.data.name.clone()),
@@ -114,7 +120,7 @@ pub fn identify(options: &Options) -> Result<Report, Failure> {
         hash,
         settings: &settings,
     };
-    done.write(&options.out, |report| {
+    done.write(options, |report| {
         report.identifiability.untrusted_runs = untrusted;
         report.notes = notes;
         report.checks = findings;
@@ -141,7 +147,8 @@ pub(super) struct Outcome<'a> {
 
 impl Outcome<'_> {
     /// Writes model.toml, report.json and report.html. `add` completes the report and returns its figures.
-    pub fn write(self, out: &Path, add: impl FnOnce(&mut Report) -> Curves) -> Result<Report, Failure> {
+    pub fn write(self, options: &Options, add: impl FnOnce(&mut Report) -> Curves) -> Result<Report, Failure> {
+        let out = options.out();
         let Outcome { robot, identified, runs, judged, mounting, hash, settings } = self;
         let provenance = crate::analysis::provenance(robot, Some(hash));
         let mut report = report_of(&identified, mounting, &provenance);
@@ -157,6 +164,7 @@ impl Outcome<'_> {
                 mounting: run.data.mounting.into(),
             })
             .collect();
+        add_origin(&mut report, &options.dataset);
         let diagnosis = add(&mut report);
         let consistent = pipeline::real_bodies(&identified);
         report.consistency = consistent.as_ref().map(|found| Consistency::of_model(&identified.model, found));
@@ -178,11 +186,17 @@ impl Outcome<'_> {
         };
         std::fs::create_dir_all(out).map_err(|error| Failure::job(format!("{}: {error}", out.display())))?;
         crate::atomic::write_result(&out.join("model.toml"), model.to_toml().as_bytes())?;
+        let correlation = drawn::correlation(&identified.identification);
+        let friction = match runs.first() {
+            Some(run) => drawn::friction(&model.model, run, settings)?,
+            None => Vec::new(),
+        };
         let shown = runs.iter().take(1).copied().chain(judged.iter().map(|(run, _)| *run).take(2));
         let shown: Vec<&Run> = shown.collect();
         let runs = parallel(&shown, threads(), |run| pipeline::figure_in_band(&model.model, run, settings));
         let runs = runs.into_iter().collect::<Result<_, _>>()?;
-        report.write(out, &Figures { runs, plan: None, diagnosis }).map_err(Failure::job)?;
+        let figures = Figures { runs, diagnosis, friction, correlation, ..Figures::default() };
+        report.write(out, &figures).map_err(Failure::job)?;
         Ok(report)
     }
 }

@@ -41,9 +41,14 @@ struct Lines {
 static LINES_OUT: OnceLock<Lines> = OnceLock::new();
 static ROBOT: OnceLock<String> = OnceLock::new();
 
-/// Starts logging; `PLUMBLINE_LOG` takes a tracing filter such as `plumbline=debug`. `serves` is true for a process that an arm depends on.
-pub fn start(serves: bool) {
-    let filter = EnvFilter::try_from_env("PLUMBLINE_LOG").unwrap_or_else(|_| EnvFilter::new("warn,plumbline=info"));
+/// What is logged without `PLUMBLINE_LOG` by a process that makes no report of its own.
+pub const FILTER: &str = "warn,plumbline=info";
+/// Variable with another filter, such as `plumbline=debug`.
+pub const FILTER_VARIABLE: &str = "PLUMBLINE_LOG";
+
+/// Starts logging through `filter`, or through that of [`FILTER_VARIABLE`]. `serves` is true for a process that an arm depends on.
+pub fn start(serves: bool, filter: &str) {
+    let filter = EnvFilter::try_from_env(FILTER_VARIABLE).unwrap_or_else(|_| EnvFilter::new(filter));
     let registry = tracing_subscriber::registry().with(filter);
     if let Some(socket) = journal_socket()
         && open(true, move |bytes| drop(socket.send_to(&bytes, JOURNAL)))

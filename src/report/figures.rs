@@ -12,6 +12,44 @@ pub struct Figures {
     pub runs: Vec<TorqueFigure>,
     pub plan: Option<PlanFigure>,
     pub diagnosis: Curves,
+    /// One per joint; empty where no friction is modelled.
+    pub friction: Vec<FrictionFigure>,
+    /// Correlation of the parameters' errors, p x p in the order of the report's parameters; empty where it is unknown.
+    pub correlation: Vec<Vec<f64>>,
+    /// Durations of the loop, the same bins for all of them.
+    pub durations: Vec<DurationFigure>,
+}
+
+/// What a joint's measured torque has beyond its rigid bodies, in bins, and the same of the model.
+#[derive(Clone, Debug, Default)]
+pub struct FrictionFigure {
+    /// Joint, from 1.
+    pub joint: usize,
+    /// Over the velocity \[rad/s\].
+    pub velocity: Vec<Bin>,
+    /// In the direction of motion, over the displacement since the last reversal \[rad\].
+    pub displacement: Vec<Bin>,
+}
+
+/// Mean of the samples of a bin.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Bin {
+    pub x: f64,
+    /// Mean measured torque \[Nm\].
+    pub measured: f64,
+    /// Standard deviation of the samples in the bin \[Nm\].
+    pub deviation: f64,
+    /// Mean modelled torque of the same samples \[Nm\].
+    pub modelled: f64,
+}
+
+/// How often a duration of the loop was how long.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct DurationFigure {
+    pub title: String,
+    /// Lower ends of the bins and the upper end of the last one \[us\], from a logarithmic scale.
+    pub edges: Vec<f64>,
+    pub counts: Vec<u64>,
 }
 
 /// Measured and modelled torque along one run.
@@ -38,6 +76,10 @@ pub struct PlanFigure {
     pub q: Vec<Vec<f64>>,
     /// Position of the end effector in the base frame at `t` \[m\].
     pub end_effector: Vec<[f64; 3]>,
+    /// The arm at some of these times: base, the origin of each link frame and the end effector, in the base frame \[m\].
+    pub poses: Vec<Vec<[f64; 3]>>,
+    /// Lowest and highest position of each joint \[rad\]; empty where unknown.
+    pub limits: Vec<[f64; 2]>,
     pub workspace: Option<Workspace>,
 }
 

@@ -1,12 +1,16 @@
 //! `report.html`: values formatted for the template. minijinja escapes all text except the plots' SVG.
 
+use super::loop_tables::{durations, durations_of, links, refusals, sessions};
 use super::summary::{self, Group, against_floor, digits, groups, mean};
-use super::{Band, Figures, GravityReport, LoopReport, Report, RunGravity, diagnosis, plot};
+use super::{
+    Band, Figures, GravityReport, LoopReport, Report, RunGravity, arm, diagnosis, model_plots, plot, provenance,
+};
 use minijinja::{AutoEscape, Environment, Value, context};
-use plumbline_ipc::Session;
 use std::io;
 
 const TEMPLATE: &str = include_str!("report.html");
+pub(super) const CSS: &str = include_str!("page.css");
+const SCRIPT: &str = include_str!("page.js");
 
 pub(super) fn render(report: &Report, figures: &Figures) -> io::Result<String> {
     let mut environment = Environment::new();
@@ -17,10 +21,12 @@ pub(super) fn render(report: &Report, figures: &Figures) -> io::Result<String> {
         environment.add_template(name, text).map_err(io::Error::other)?;
     }
     let template = environment.get_template("report").map_err(io::Error::other)?;
+    let parameters_of = &report.base.parameters;
     let page = context! {
         report => Value::from(minijinja::value::Serde(report)),
-        // The diagnosis has a box of its own.
-        summary => summary::without_diagnosis(report),
+        css => safe(CSS.to_string()),
+        script => safe(SCRIPT.to_string()),
+        origin => origin(report),
         diagnosis => report.diagnosis.as_ref().map(|of| diagnosis::context(of, &figures.diagnosis)),
         notices => notices(report),
         verdicts => verdicts(report),
@@ -36,6 +42,15 @@ pub(super) fn render(report: &Report, figures: &Figures) -> io::Result<String> {
         motions => motions(report),
         runs => runs(figures),
         plan => plan(figures),
+        friction => friction(figures),
+        forest => forest(report),
+        weak => parameters_of.iter().filter(|own| model_plots::is_weak(own)).count(),
+        weak_percent => format!("{:.0}", 100.0 * model_plots::WEAK),
+        correlation => filled(model_plots::correlation(&figures.correlation, parameters_of)),
+        least_correlation => model_plots::LEAST_CORRELATION,
+        correlated => model_plots::most_correlated(&figures.correlation, parameters_of)
+            .map(|(one, other, value)| (one, other, format!("{value:.2}"))),
+        histograms => histograms(figures),
         gravity => report.gravity.as_ref().map(gravity),
         guest => report.guest.as_ref().map(summary::guest),
         control_loop => report.control_loop.as_ref().map(summary::control_loop),
@@ -68,6 +83,41 @@ fn cells(values: &[f64]) -> Vec<String> {
 
 fn name(file: &str) -> &str {
     file.strip_suffix(".csv").unwrap_or(file)
+}
+
+fn filled(svg: String) -> Option<Value> {
+    (!svg.is_empty()).then(|| safe(svg))
+}
+
+/// Where the report comes from, for its head.
+fn origin(report: &Report) -> Vec<(&'static str, String)> {
+    let keys = [
+        ("date", "date"),
+        ("plumbline", "plumbline"),
+        ("dataset", "dataset, begin of its SHA-256"),
+        (provenance::SOURCE, "from"),
+        (provenance::COMMAND, "command"),
+    ];
+    let shown = |key: &str, text: String| if key == "dataset" { text.chars().take(16).collect() } else { text };
+    keys.iter().filter_map(|(key, name)| Some((*name, shown(key, plain(report.provenance.get(*key)?))))).collect()
+}
+
+fn friction(figures: &Figures) -> Vec<Value> {
+    let joint = |of: &super::figures::FrictionFigure| {
+        context! { velocity => safe(model_plots::friction(of)), displacement => safe(model_plots::hysteresis(of)) }
+    };
+    figures.friction.iter().map(joint).collect()
+}
+
+fn forest(report: &Report) -> Vec<Value> {
+    let plots = model_plots::forest(&report.base.parameters);
+    plots.into_iter().map(|(unit, plot)| context! { unit, plot => safe(plot) }).collect()
+}
+
+fn histograms(figures: &Figures) -> Vec<Value> {
+    let plot =
+        |of: &super::figures::DurationFigure| context! { title => &of.title, plot => safe(model_plots::durations(of)) };
+    figures.durations.iter().map(plot).collect()
 }
 
 /// Rows of the data's checks.
@@ -267,6 +317,7 @@ fn parameters(report: &Report) -> Vec<Value> {
         let relative = p.std.filter(|_| p.value != 0.0).map(|std| 100.0 * std / p.value.abs());
         context! {
             symbol => &p.symbol,
+            weak => model_plots::is_weak(p),
             name => &p.name,
             value => format!("{:.decimals$}", p.value),
             std => p.std.map_or("-".to_string(), |std| format!("{std:.decimals$}")),
@@ -292,6 +343,8 @@ fn plan(figures: &Figures) -> Option<Value> {
     let plan = figures.plan.as_ref()?;
     Some(context! {
         joints => plan.q.len(),
+        arm => arm::arm(plan).map(safe),
+        limits => safe(model_plots::limits(plan)),
         workspace => plan.workspace.is_some(),
         positions => safe(plot::positions(plan)),
         side => safe(plot::path(plan, [0, 2], ["x / m", "z / m"])),
@@ -306,72 +359,4 @@ fn motions(report: &Report) -> Vec<Value> {
         context! { name => &of.motion, cells => of.range.iter().zip(&of.speed).map(cell).collect::<Vec<_>>() }
     };
     report.motions.iter().map(row).collect()
-}
-
-fn sessions_of(report: &Report) -> &[Session] {
-    report.control_loop.as_ref().map_or(&[], |of| &of.sessions)
-}
-
-fn sessions(report: &Report) -> Vec<Value> {
-    let known = |count: Option<u64>| count.map_or("-".to_string(), |count| count.to_string());
-    let row = |s: &Session| {
-        let of = &s.statistics;
-        context! {
-            name => &s.name, cycles => of.cycles, elapsed => of.elapsed, lost => of.lost, longest => of.longest_lost,
-            late => known(of.late), records => of.dropped_records, allocations => known(s.allocations.map(u64::from)), end => &s.end,
-        }
-    };
-    sessions_of(report).iter().map(row).collect()
-}
-
-fn refusals(report: &Report) -> Vec<String> {
-    let of = report.control_loop.as_ref();
-    of.map_or(Vec::new(), |of| of.refusals().into_iter().map(str::to_string).collect())
-}
-
-/// Connections over a network, one row each.
-fn links(report: &Report) -> Vec<Value> {
-    let row = |s: &Session| {
-        let link = s.link.as_ref()?;
-        let percent = |share: f64| format!("{:.2} %", 100.0 * share);
-        let success =
-            link.success.map_or("-".to_string(), |[least, mean]| format!("{} / {}", percent(least), percent(mean)));
-        let vector = |of: Option<[f64; 3]>| of.map_or("-".to_string(), |[x, y, z]| format!("[{x:.2}, {y:.2}, {z:.2}]"));
-        let (gravity, compensates) = (vector(link.gravity), vector(link.compensates));
-        Some(context! {
-            name => &s.name, robot => &link.robot, states => link.states, lost => link.lost, passed => link.passed_over, odd => link.odd, late => link.late,
-            limited => link.limited, success, gravity, compensates, fault => &link.fault,
-        })
-    };
-    sessions_of(report).iter().filter_map(row).collect()
-}
-
-/// Every duration that was measured, with its name: median, 99th and 99.9th percentile and largest value \[us\].
-fn durations_of(report: &Report) -> Vec<(String, [f64; 4])> {
-    let mut rows = Vec::new();
-    for s in sessions_of(report) {
-        let of = &s.statistics;
-        let mut times =
-            vec![("wake-up", of.wake_up), ("execution", of.execution), ("period", of.period), ("bridge", s.bridge)];
-        if let Some(link) = &s.link {
-            times.extend([
-                ("turnaround", link.turnaround),
-                ("wait in the socket", link.wake),
-                ("round trip", link.round_trip),
-                ("state to state", link.interval),
-            ]);
-        }
-        rows.extend(
-            times.into_iter().filter_map(|(what, times)| Some((format!("{what}, {}", s.name), times.in_us()?))),
-        );
-    }
-    rows
-}
-
-fn durations(report: &Report) -> Vec<Value> {
-    let row = |(what, times): (String, [f64; 4])| {
-        let [p50, p99, p999, max] = times.map(digits);
-        context! { what, p50, p99, p999, max }
-    };
-    durations_of(report).into_iter().map(row).collect()
 }

@@ -2,14 +2,21 @@
 //!
 //! The report is plain data filled by the caller; no results are computed here.
 
-pub mod arm;
+mod arm;
+mod chart;
+pub mod compared;
 mod consistency;
 pub mod diagnosis;
 pub mod figures;
 mod gravity;
 mod html;
+mod loop_tables;
+mod model_plots;
 mod plot;
+pub mod provenance;
+pub mod robot;
 mod summary;
+pub mod table;
 mod timing;
 
 pub use consistency::{Consistency, Moved};
@@ -331,9 +338,14 @@ impl Report {
         html::render(self, figures)
     }
 
-    /// Summary in a few lines, printed at the end of a job.
-    pub fn summary(&self) -> Vec<String> {
+    /// All that the report says, in lines: what `--verbose` prints.
+    pub fn in_words(&self) -> Vec<String> {
         summary::lines(self)
+    }
+
+    /// The table at the end of a job: at most [`table::MAX_LINES`] lines of [`table::WIDTH`] columns.
+    pub fn table(&self) -> table::Table {
+        table::Table::of(self)
     }
 
     /// The diagnosis alone in a few lines; none without one.

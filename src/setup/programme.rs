@@ -105,7 +105,8 @@ impl Programme {
     pub fn plan(planner: &Planner, progress: &(dyn Fn(&str, f64) + Sync)) -> Result<Programme, Failure> {
         let job = planner.job;
         let slots = slots(job);
-        let all = slots.len() as f64;
+        // Random motions take no time against those that are searched for.
+        let all = slots.iter().filter(|slot| slot.first).count().max(1) as f64;
         let mut done = 0.0;
         let mut ways = Ways::new(planner)?;
         let programme = fill(job, slots, |slot| {
@@ -123,7 +124,7 @@ impl Programme {
                 };
                 match ways.go(&slot.mounting, &plan.q0) {
                     Ok(()) => {
-                        done += 1.0;
+                        done += f64::from(u8::from(slot.first));
                         return Ok(plan);
                     }
                     Err(peak) => broken = Some(peak),

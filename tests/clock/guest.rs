@@ -22,6 +22,7 @@ const ROBOT: &str = "PLUMBLINE_TEST_ROBOT";
 fn job(place: &Place, subcommand: &str, more: &[&str]) -> Command {
     let mut command = plumbline();
     command.arg(subcommand).arg(JOB).arg("--out").arg(place.out());
+    command.args((subcommand == "run").then_some("--verbose"));
     command.args(["--set", &format!("serve.id={}", place.id), "--set", "mounting=wall"]);
     more.iter().for_each(|set| {
         command.arg("--set").arg(set);

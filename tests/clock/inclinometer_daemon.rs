@@ -5,7 +5,7 @@
 use nalgebra::Vector3;
 use plumbline::store::ModelFile;
 use plumbline_core::{Phase, Validity};
-use plumbline_ipc::{FeedForwardClient, FeedForwardMessage, FeedForwardSettings, Gravity, Progress, RobotId, Status};
+use plumbline_ipc::{FeedForwardClient, FeedForwardMessage, FeedForwardSettings, Gravity, Progress, RobotId};
 use plumbline_model::term::Sample;
 use plumbline_model::{Mounting, Robot, angle_between};
 use plumbline_testkit::inclinometer::Device;
@@ -110,6 +110,7 @@ fn serve(mut stream: &UnixStream, device: &Mutex<Device>, start: Instant, end: &
 fn job(place: &Place, subcommand: &str, bus: &SimulatedBus, sets: &[&str]) -> std::process::Command {
     let mut command = plumbline();
     command.args([subcommand, "config/daemon-inclinometer.toml", "--out"]).arg(place.out());
+    command.args((subcommand == "run").then_some("--verbose"));
     let own = [format!("serve.id={}", place.id), format!("inclinometer.interface=simulated:{}", bus.path)];
     // A test machine is busy: what it does to the listener is not the matter here.
     let all = ["safety.max-lost=1000", "inclinometer.heartbeat=1 s", "inclinometer.rate=10 Hz"];
@@ -127,11 +128,7 @@ fn daemon(place: &Place, bus: &SimulatedBus, sets: &[&str]) -> Running {
 }
 
 fn gravity(place: &Place) -> Option<Gravity> {
-    let done = place.command("status");
-    if done.code != Some(0) {
-        return None;
-    }
-    serde_json::from_str::<Status>(&done.out).unwrap().gravity
+    place.status()?.gravity
 }
 
 /// Waits until the daemon's word of gravity is so.

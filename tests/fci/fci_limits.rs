@@ -58,6 +58,7 @@ impl Scene {
     fn command(&self, verb: &str, sets: &[&str]) -> Command {
         let mut command = plumbline();
         command.args([verb, "config/fr3.toml", "--out"]).arg(self.place.out());
+        command.args((verb == "run").then_some("--verbose"));
         let own = [
             format!("serve.id={}", self.place.id),
             format!("backend.franka.address={}", self.address),

@@ -16,7 +16,7 @@ fn scene(name: &str) -> (Emulator, Place, Command) {
     let settings = Settings { mounting: Mounting::WALL, command_wait, ..Settings::new(address, Protocol::V5) };
     let place = Place::new(name);
     let mut command = plumbline();
-    command.args(["run", "config/panda-emulator-wall.toml", "--out"]).arg(place.out());
+    command.args(["run", "--verbose", "config/panda-emulator-wall.toml", "--out"]).arg(place.out());
     for set in [
         format!("serve.id={}", place.id),
         format!("backend.franka.address={address}"),

@@ -173,7 +173,7 @@ fn report(diagnosis: Diagnosis) -> Report {
 
 /// The lines of the summary that speak of the diagnosis.
 fn summary_of(diagnosis: Diagnosis) -> Vec<String> {
-    let lines = report(diagnosis).summary();
+    let lines = report(diagnosis).in_words();
     // Right after the line that names the robot, before everything else.
     assert!(lines[0].starts_with("panda, mounting wall: 59 base parameters"), "{}", lines[0]);
     let end = lines.iter().position(|line| line.starts_with("noise floor [Nm]: ")).unwrap();

@@ -1,7 +1,8 @@
 //! The report: the promised schema, everything inside one HTML file, text from files escaped.
 
 use plumbline::config::job::Pace;
-use plumbline::report::figures::{PlanFigure, TorqueFigure};
+use plumbline::report::figures::{Bin, DurationFigure, FrictionFigure, PlanFigure, TorqueFigure};
+use plumbline::report::table::{MAX_LINES, WIDTH};
 use plumbline::report::*;
 use plumbline::store::ModelFile;
 use plumbline_core::{Distribution, LoopStatistics, Workspace};
@@ -43,11 +44,13 @@ fn report() -> Report {
     let mut provenance = serde_json::Map::new();
     provenance.insert("plumbline".into(), "0.1.0".into());
     provenance.insert("dataset".into(), "3f5a".repeat(16).into());
+    provenance.insert("source".into(), "/home/me/job.toml".into());
+    provenance.insert("command".into(), "plumbline run job.toml".into());
     Report {
         checks: Vec::new(),
         robot: "panda".into(),
         mounting: Mounting::WALL.into(),
-        base: Base::new("GBS", &model),
+        base: Base::new("GBS", &model).with_intervals(&[Some(0.01); 59]),
         identify: Fit {
             rms_raw: FLOOR.map(|floor| floor * 1.01).to_vec(),
             rms_filtered: FLOOR.map(|floor| floor / 30.0).to_vec(),
@@ -168,6 +171,8 @@ fn figures(samples: usize) -> Figures {
             run("Validation upright-1"),
         ],
         plan: Some(PlanFigure {
+            poses: vec![vec![[0.0; 3], [0.0, 0.0, 0.3], [0.4, 0.1, 0.5]]; 10],
+            limits: vec![[-2.0, 2.0]; 7],
             t: t.clone(),
             q: (0..7).map(|j| t.iter().map(|&t| wave(j, t)).collect()).collect(),
             end_effector: t
@@ -176,8 +181,58 @@ fn figures(samples: usize) -> Figures {
                 .collect(),
             workspace: Some(Workspace { box_min: [-0.2, -0.9, 0.0], box_max: [0.9, 0.9, 1.2], base_radius: 0.25 }),
         }),
+        friction: vec![FrictionFigure {
+            joint: 1,
+            velocity: (-4..=4).map(|k| bin(0.1 * f64::from(k))).collect(),
+            displacement: (1..=9).map(|k| bin(1e-3 * f64::from(k))).collect(),
+        }],
+        correlation: (0..59)
+            .map(|c| (0..59).map(|d| if c == d { 1.0 } else { 0.9 - 0.03 * d as f64 }).collect())
+            .collect(),
+        durations: vec![DurationFigure {
+            title: "wake-up latency".into(),
+            edges: vec![1.0, 2.0, 4.0],
+            counts: vec![9, 1],
+        }],
         ..Figures::default()
     }
+}
+
+fn bin(x: f64) -> Bin {
+    Bin { x, measured: x.signum(), deviation: 0.1, modelled: 0.9 * x.signum() }
+}
+
+#[test]
+fn the_table_fits_a_terminal_whatever_is_in_the_report() {
+    let fits = |report: &Report| {
+        let lines = report.table().lines;
+        let wide = lines.iter().find(|line| line.chars().count() > WIDTH);
+        assert!(lines.len() <= MAX_LINES && wide.is_none(), "{lines:#?}");
+        lines
+    };
+    let mut report = report();
+    let lines = fits(&report);
+    assert!(lines[0].starts_with("panda, wall: 59 base parameters (GBS)"), "{lines:#?}");
+    let row = |lines: &[String], name: &str| lines.iter().find(|line| line.starts_with(name)).cloned();
+    let floor = row(&lines, "noise floor").unwrap();
+    assert_eq!(floor.split_whitespace().nth(2), Some("0.150"), "{floor}");
+    assert!(row(&lines, "wall, 5 unseen runs").is_some() && row(&lines, "VBS 57").is_some(), "{lines:#?}");
+    // More mountings than there are lines, long names, large torques, odd numbers.
+    let run = report.validate[0].clone();
+    for k in 0..12 {
+        let mut other = run.clone();
+        other.mounting.name = format!("rho = {k} deg, phi = 123.456 deg, a long name");
+        report.validate.push(other);
+    }
+    report.noise_floor = vec![123_456.0, 1234.5, 99.999, 9.9996, 0.0, f64::NAN, -0.0001];
+    let lines = fits(&report);
+    assert!(lines.iter().any(|line| line.ends_with("more rows with --verbose")), "{lines:#?}");
+    let floor = row(&lines, "noise floor").unwrap();
+    assert!(floor.contains(" 1e5") && floor.contains(" 1234 100.0 10.00 0.000     -"), "{floor}");
+    report.robot = "r".repeat(200);
+    report.identifiability.not_identifiable = vec!["Lxx1".into(); 3];
+    assert!(fits(&report).iter().any(|line| line.contains("3 parameters not identifiable")));
+    fits(&Report::default());
 }
 
 #[test]
@@ -234,7 +289,7 @@ fn a_session_in_simulated_time_has_no_late_cycles() {
     (statistics.late, statistics.wake_up, fast.allocations) = (None, Distribution::default(), None);
     let of = report.control_loop.as_mut().unwrap();
     (of.pace, of.late, of.sessions) = (Pace::Fast, None, vec![fast]);
-    let message = report.summary().join("\n");
+    let message = report.in_words().join("\n");
     assert!(message.contains("as fast as possible") && message.contains("allocations not watched"), "{message}");
     let page = report.to_html(&Figures::default()).unwrap();
     assert!(!message.contains(" late") && !message.contains("wake-up") && !page.contains("wake-up, wall"), "{message}");
@@ -247,7 +302,7 @@ fn filtered_errors_are_labelled_and_not_compared_with_a_raw_floor() {
     for run in &mut report.validate {
         run.served_rms = None;
     }
-    let message = report.summary().join("\n");
+    let message = report.in_words().join("\n");
     let line = |start: &str| {
         message.lines().find(|line| line.starts_with(start)).unwrap_or_else(|| panic!("{start} in {message}"))
     };
@@ -255,21 +310,22 @@ fn filtered_errors_are_labelled_and_not_compared_with_a_raw_floor() {
     assert!(!filtered.contains("noise floor"), "{filtered}");
     assert!(line("RMS wall [Nm], raw samples: 0.1").contains("of the noise floor"));
     let page = report.to_html(&Figures::default()).unwrap();
-    assert!(page.contains("unseen motions, after a 4 Hz zero-phase low-pass") && page.contains("<th>raw mean</th>"));
+    assert!(page.contains("unseen motions, after a 4 Hz zero-phase low-pass") && page.contains(">raw mean</th>"));
 
     report.noise_floor.clear();
     let page = report.to_html(&Figures::default()).unwrap();
     assert!(
-        report.summary().join("\n").contains("noise floor: unknown") && page.contains("No motion of this data repeats")
+        report.in_words().join("\n").contains("noise floor: unknown")
+            && page.contains("No motion of this data repeats")
     );
-    assert!(!page.contains("<th>noise floor</th>"), "an empty column");
+    assert!(!page.contains(">noise floor</th>"), "an empty column");
 }
 
 #[test]
 fn the_counter_experiment_names_the_joints_that_fail() {
     let mut report = report();
     let sentence = |report: &Report| {
-        report.summary().into_iter().find(|line| line.starts_with("counter-experiment")).expect("it was done")
+        report.in_words().into_iter().find(|line| line.starts_with("counter-experiment")).expect("it was done")
     };
     let message = sentence(&report);
     assert!(message.contains("57 parameters, identified upright) is refused in mounting wall"), "{message}");
@@ -298,7 +354,7 @@ fn the_parameters_of_effects_are_counted_apart() {
     let counts_of = |model: &TorqueModel| {
         let report = Report { base: Base::of(model), ..report() };
         let page = report.to_html(&Figures::default()).unwrap();
-        (report.summary()[0].clone(), report.base.count, report.base.effects, page)
+        (report.in_words()[0].clone(), report.base.count, report.base.effects, page)
     };
     let (line, count, effects, page) = counts_of(&plain);
     let counts = "59 base parameters (GBS: 45 rigid body, 14 friction)";
@@ -312,7 +368,7 @@ fn the_parameters_of_effects_are_counted_apart() {
 #[test]
 fn the_summary_says_what_the_job_promises() {
     let mut report = report();
-    let message = report.summary().join("\n");
+    let message = report.in_words().join("\n");
     let lines = [
         "59 base parameters (GBS)",
         "raw 131 (rigid body alone 123)",
@@ -330,7 +386,7 @@ fn the_summary_says_what_the_job_promises() {
     }
     report.ipc = Some(ipc(10, 9));
     report.identifiability.untrusted_runs = vec!["wall.csv".into()];
-    let message = report.summary().join("\n");
+    let message = report.in_words().join("\n");
     assert!(message.contains("10 sent, 9 received, NOT EQUAL") && message.contains("not valid: wall.csv"), "{message}");
 }
 
@@ -343,8 +399,19 @@ fn the_page_is_one_file_of_limited_size() {
     assert!(dir.join("report.json").exists());
     assert!(page.len() < 2_000_000, "{} bytes", page.len());
     assert!(!page.contains("src=") && !page.contains("href=") && !page.contains("@import"), "something is loaded");
-    // Seven joints in each of three runs, positions, two views of the path, the durations.
-    assert_eq!(page.matches("<svg ").count(), 3 * 7 + 3 + 1);
+    // Seven joints in each of three runs, positions, arm and limits, the durations; two of friction, one histogram, the correlation, four
+    // units.
+    assert_eq!(page.matches("<svg ").count(), 3 * 7 + 3 + 1 + 2 + 1 + 1 + 4);
+    let heads = page.matches("<th ").count() + page.matches("<th>").count();
+    let explained = page.split("<th ").skip(1).filter(|head| head.split('>').next().unwrap().contains("title=\""));
+    assert_eq!(explained.count(), heads, "a column without an explanation");
+    for id in ["arm", "arm-data", "arm-play", "arm-time"] {
+        assert_eq!(page.matches(&format!("id=\"{id}\"")).count(), 1, "{id}");
+    }
+    assert!(
+        page.matches("plumbline run job.toml").count() == 2 && page.contains("job.toml</dd>"),
+        "the page says where it is from"
+    );
     assert!(!page.contains("NaN") && !page.contains("Infinity"));
     for expected in [
         "LxxR2",
@@ -376,7 +443,7 @@ fn text_from_files_is_escaped() {
     let mut figures = figures(100);
     figures.runs[0].title = evil.into();
     let page = report.to_html(&figures).unwrap();
-    assert!(!page.contains("<script"), "unescaped");
+    assert!(!page.contains("<script>alert"), "unescaped");
     assert!(page.matches("&lt;script&gt;").count() >= 7);
 }
 
@@ -404,7 +471,7 @@ fn a_motion_that_excites_too_little_and_restricted_parameters_come_back_from_jso
     assert!(json.contains("\"with_friction\": null"));
     let back: Report = serde_json::from_str(&json).unwrap();
     assert_eq!(back, report);
-    let summary = back.summary().join("\n");
+    let summary = back.in_words().join("\n");
     assert!(summary.contains("estimator: huber, whose weights did not converge"), "{summary}");
     assert!(summary.contains("restricted to zero because not significant in this data: Lxy3, Lyz2"), "{summary}");
 }
@@ -451,7 +518,7 @@ fn what_the_inclinometer_did_stands_in_both_files() {
     }
     let read: Report = serde_json::from_str(&report.to_json().unwrap()).unwrap();
     assert_eq!(read, report);
-    assert!(report.summary().iter().any(|line| line.starts_with("gravity: the inclinometer measured")));
+    assert!(report.in_words().iter().any(|line| line.starts_with("gravity: the inclinometer measured")));
 
     // A socket that plays the bus is named as what it is; without an inclinometer nothing is said of one.
     let simulated = GravityReport::new(&Gravity { simulated: true, ..tilted() }, Mounting::WALL, []).unwrap();

@@ -42,7 +42,7 @@ fn write(dir: &Path, seed: u64, added: impl Fn(usize, f64, &[f64], &mut [f64])) 
 /// The report, what was printed, and the page.
 fn diagnosed(dir: &Path) -> (Report, String, String) {
     let path = |name: &str| dir.join(name).display().to_string();
-    let output = plumbline().args(["diagnose", &path("data"), "--out", &path("out")]).output().unwrap();
+    let output = plumbline().args(["diagnose", "--verbose", &path("data"), "--out", &path("out")]).output().unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let read = |name: &str| std::fs::read_to_string(dir.join("out").join(name)).unwrap();
     let report = serde_json::from_str(&read("report.json")).unwrap();

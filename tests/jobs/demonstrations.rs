@@ -27,7 +27,7 @@ struct Shown {
 fn shown(name: &str, found_by: &str, joints: &[usize]) -> Shown {
     let place = Place::new(&format!("demo-{name}"));
     let mut command = plumbline();
-    command.args(["run", &format!("config/demo-{name}.toml"), "--out"]).arg(place.out());
+    command.args(["run", "--verbose", &format!("config/demo-{name}.toml"), "--out"]).arg(place.out());
     command.arg("--set").arg(format!("serve.id={}", place.id));
     if let Ok(seed) = std::env::var("SEED") {
         for key in ["backend", "excitation", "validation"] {

@@ -23,7 +23,7 @@ fn dataset(scene: &Scene, folder: &Path, runs: Vec<Run>) -> PathBuf {
 
 fn identify(dataset: &Path, out: &Path, more: &[&str]) -> Command {
     let mut command = plumbline();
-    command.arg("identify").arg(dataset).arg("--out").arg(out).args(["--terms", "friction"]).args(more);
+    command.arg("identify").arg(dataset).arg("--out").arg(out).args(["--verbose", "--terms", "friction"]).args(more);
     command
 }
 

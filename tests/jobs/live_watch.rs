@@ -17,6 +17,7 @@ fn job(place: &Place, subcommand: &str, more: &[&str]) -> Command {
     place.reuse_plans(JOB, &sets);
     let mut command = plumbline();
     command.arg(subcommand).arg(JOB).arg("--out").arg(place.out());
+    command.args((subcommand == "run").then_some("--verbose"));
     command.arg("--set").arg(format!("serve.id={}", place.id));
     for set in sets {
         command.arg("--set").arg(set);
@@ -127,7 +128,11 @@ fn who_is_asked_decides() {
         command.arg("--once");
         command
     });
-    let status = || serde_json::from_str::<Value>(&place.command("status").expect_code(0).out).unwrap();
+    let status = || {
+        let mut command = plumbline();
+        command.args(["command", "status", "--json", "--robot", &place.id]);
+        serde_json::from_str::<Value>(&Done::of(command).expect_code(0).out).unwrap()
+    };
     wait_for("the estimator", || (!status()["served"]["followers"].as_array().unwrap().is_empty()).then_some(()));
     // Nobody has proposed anything.
     assert_eq!(place.command("adopt").code, Some(1));

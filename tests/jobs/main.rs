@@ -6,6 +6,7 @@ mod changing_command;
 mod check_command;
 mod compare_command;
 mod config_job;
+mod console;
 mod dead_channels;
 mod demonstrations;
 mod doctor;

@@ -87,12 +87,16 @@ fn rivals_are_told_apart_by_the_motion_that_is_planned_for_them() {
     // The same from the recorded data of the first round; of both rounds nothing is open.
     let next = |dataset: &Path, out: &Path| {
         let mut command = plumbline();
-        command
-            .arg("next")
-            .arg(dataset)
-            .arg("--out")
-            .arg(out)
-            .args(["--period", "5", "--starts", "12", "--rounds", "1"]);
+        command.arg("next").arg(dataset).arg("--out").arg(out).args([
+            "--verbose",
+            "--force",
+            "--period",
+            "5",
+            "--starts",
+            "12",
+            "--rounds",
+            "1",
+        ]);
         Done::of(command).expect_code(0)
     };
     let out = place.path().join("next");

@@ -178,6 +178,9 @@ pub trait TimeGate: Send + Sync {
 
     /// Reports that the consumer has taken `records` more records.
     fn consumed(&self, records: u64);
+
+    /// States delivered whose records were not taken yet. None are once it is 0 while the gate is shut.
+    fn under_way(&self) -> u64;
 }
 
 /// Limits that a connected arm holds commands to, its margin included.

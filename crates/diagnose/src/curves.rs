@@ -105,11 +105,11 @@ fn axis(operating_point: &OperatingPoint, over: PlotOver, joint: usize, motion: 
         PlotOver::Load => ("tau_rb", "Nm", column(&operating_point.load.along(motion))),
         PlotOver::Time => {
             let times = (0..motion.samples()).map(|k| motion.start + k as f64 * motion.dt).collect();
-            return Some(("t [s]".into(), times));
+            return Some(("t / s".into(), times));
         }
         PlotOver::Nothing => return None,
     };
-    Some((format!("{name}{} [{unit}]", joint + 1), values))
+    Some((format!("{name}{} / {unit}", joint + 1), values))
 }
 
 fn effect(search: &Search, state: &State, item: usize) -> Option<EffectFigure> {

@@ -22,7 +22,7 @@ use super::outcome::{
 };
 use super::parts::{self, Named};
 use super::reference;
-use super::select::{MAX_LISTED_SCORES, Scored, Search, Selected, Step, steps};
+use super::select::{MAX_LISTED_SCORES, Scored, Search, Selected, Step, Watch, steps};
 use super::span::Span;
 use super::state::State;
 use super::unseen::{Known, THRESHOLD_FLOOR_RATIO, Unseen, columns_of};
@@ -63,11 +63,11 @@ const MAX_RELINEARISATIONS: usize = 8;
 /// Smallest gain, twice the log likelihood, for another relinearisation.
 const MIN_RELINEARISATION_GAIN: f64 = 4.0;
 
-/// Diagnoses a set of runs of one arm. `progress` is called at every step of the selection.
+/// Diagnoses a set of runs of one arm. `progress` is called at every step of the selection and with every candidate.
 ///
 /// # Errors
 /// As [`identify_with`].
-pub fn diagnose(input: &Input, settings: &Settings, progress: &dyn Fn(&Step)) -> Result<Outcome, EstimateError> {
+pub fn diagnose(input: &Input, settings: &Settings, progress: &Watch) -> Result<Outcome, EstimateError> {
     let structure = input.structure;
     let experiments: Vec<Experiment> = input.identify.iter().map(|trial| trial.experiment.clone()).collect();
     // The plain model knows nothing of a drift; everything after it is about the arm without.

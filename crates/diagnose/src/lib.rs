@@ -82,6 +82,6 @@ pub use library::{Candidate, library};
 pub use moments::Columns;
 pub use open::{Answer, OpenQuestions, Question};
 pub use outcome::{Confirmation, Diagnosis, Disagreement, Effect, Fitted, JointFacts, Verdict};
-pub use select::{Rival, Scored, Search, Selected, Step};
+pub use select::{Progress, Rival, Scored, Search, Selected, Step, Watch};
 pub use span::Span;
 pub use state::{State, mean_square};

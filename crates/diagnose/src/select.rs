@@ -14,6 +14,7 @@ use super::span::Span;
 use super::state::{State, Tried, every};
 use plumbline_core::parallel;
 use plumbline_model::term::effect::{OperatingPoint, Setting, Spec};
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// Candidates that are fitted in full at each step.
 const MAX_SHORTLISTED: usize = 16;
@@ -118,6 +119,23 @@ pub struct Rival {
     pub gap: f64,
 }
 
+/// What a search reports while it computes.
+#[derive(Clone, Copy, Debug)]
+pub enum Progress<'a> {
+    /// A step of the selection.
+    Step(&'a Step),
+    /// Candidates of the present comparison that are refined and scored.
+    Candidates {
+        /// So many are.
+        done: usize,
+        /// Of so many.
+        of: usize,
+    },
+}
+
+/// Takes the progress of a search; called from several threads.
+pub type Watch<'w> = dyn Fn(Progress) + Sync + 'w;
+
 /// One step of the selection.
 #[derive(Clone, Debug)]
 pub struct Step {
@@ -186,6 +204,10 @@ impl<'a> Search<'a> {
 
     /// The best candidates for a state, refined, best first.
     pub fn propose(&self, state: &State, wanted: impl Fn(&Candidate) -> bool + Sync) -> Vec<Scored> {
+        self.proposed(state, wanted, &|_| {})
+    }
+
+    fn proposed(&self, state: &State, wanted: impl Fn(&Candidate) -> bool + Sync, progress: &Watch) -> Vec<Scored> {
         let threads = self.settings.threads;
         let screened = parallel(self.library, threads, |item| {
             let usable = wanted(item) && !state.items.iter().any(|own| own.alike(item));
@@ -209,7 +231,12 @@ impl<'a> Search<'a> {
                 break;
             }
         }
-        let tried = parallel(&short, threads, |item| self.score(state, &self.refined(state, self.rebuilt(item))));
+        let (done, of) = (AtomicUsize::new(0), short.len());
+        let tried = parallel(&short, threads, |item| {
+            let scored = self.score(state, &self.refined(state, self.rebuilt(item)));
+            progress(Progress::Candidates { done: done.fetch_add(1, Ordering::Relaxed) + 1, of });
+            scored
+        });
         let mut scored: Vec<Scored> = tried.into_iter().flatten().collect();
         scored.sort_by(|a, b| b.score.total_cmp(&a.score));
         let mut grown_forms: Vec<Candidate> = Vec::new();
@@ -313,12 +340,12 @@ impl<'a> Search<'a> {
     }
 
     /// [`Search::forward`] and [`Search::finish`].
-    pub fn select(&self, base: State, seeds: &[Candidate], progress: &dyn Fn(&Step)) -> Selected {
+    pub fn select(&self, base: State, seeds: &[Candidate], progress: &Watch) -> Selected {
         self.finish(self.forward(base, seeds, progress), progress)
     }
 
     /// Forward selection: adds the best effect that passes the gates and fits everything again. It starts from `seeds` that pay for themselves.
-    pub fn forward(&self, base: State, seeds: &[Candidate], progress: &dyn Fn(&Step)) -> Draft {
+    pub fn forward(&self, base: State, seeds: &[Candidate], progress: &Watch) -> Draft {
         let mut state = base;
         let mut path: Vec<Step> = Vec::new();
         let mut tabu: Vec<Candidate> = Vec::new();
@@ -333,7 +360,7 @@ impl<'a> Search<'a> {
             self.record(&mut path, &state, item, true, 0.0, progress);
         }
         for step in 0..self.settings.steps {
-            let proposals = self.propose(&state, |item| !tabu.iter().any(|one| one.alike(item)));
+            let proposals = self.proposed(&state, |item| !tabu.iter().any(|one| one.alike(item)), progress);
             if step == 0 {
                 first.clone_from(&proposals);
             }
@@ -352,7 +379,7 @@ impl<'a> Search<'a> {
     }
 
     /// Compares every effect of a draft with its rivals.
-    pub fn finish(&self, draft: Draft, progress: &dyn Fn(&Step)) -> Selected {
+    pub fn finish(&self, draft: Draft, progress: &Watch) -> Selected {
         let Draft { state, mut path, first } = draft;
         let (state, found) = self.judge(state, &mut path, progress);
         Selected { state, found, path, first }
@@ -375,18 +402,10 @@ impl<'a> Search<'a> {
         Some(now)
     }
 
-    fn record(
-        &self,
-        path: &mut Vec<Step>,
-        state: &State,
-        item: Candidate,
-        added: bool,
-        score: f64,
-        progress: &dyn Fn(&Step),
-    ) {
+    fn record(&self, path: &mut Vec<Step>, state: &State, item: Candidate, added: bool, score: f64, progress: &Watch) {
         let unmodelled = (0..self.evidence().joints()).map(|joint| state.unmodelled(self.evidence(), joint)).sum();
         let step = Step { item, added, score, unmodelled };
-        progress(&step);
+        progress(Progress::Step(&step));
         path.push(step);
     }
 
@@ -447,7 +466,7 @@ impl<'a> Search<'a> {
     }
 
     /// Replaces each effect by every other candidate in turn: a better one is kept, those with a near score are its rivals.
-    fn judge(&self, mut state: State, path: &mut Vec<Step>, progress: &dyn Fn(&Step)) -> (State, Vec<Found>) {
+    fn judge(&self, mut state: State, path: &mut Vec<Step>, progress: &Watch) -> (State, Vec<Found>) {
         let mut swaps = state.items.len();
         let mut found = Vec::new();
         let mut item = 0;
@@ -461,7 +480,7 @@ impl<'a> Search<'a> {
                 state = rest;
                 continue;
             };
-            let others = self.propose(&rest, |other| near(other) && !other.alike(&chosen));
+            let others = self.proposed(&rest, |other| near(other) && !other.alike(&chosen), progress);
             let least = own.score + if self.evidence().repeats() { 0.0 } else { MAX_RIVAL_SCORE_GAP };
             let better = others.iter().find(|other| other.score > least && self.passes(&rest, other));
             if let Some(better) = better.filter(|_| swaps > 0) {

@@ -184,6 +184,9 @@ pub struct Status {
     pub driven: Option<u64>,
     /// Progress of the job in words.
     pub job: String,
+    /// Time that the motions of the job still take, without the ways between them \[s\]; absent before the start and where nothing is planned.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub left: Option<f64>,
     /// Reason of the last stop.
     #[serde(default)]
     pub stopped: Option<String>,

@@ -52,6 +52,7 @@ mod server;
 mod services;
 mod stop;
 mod stream;
+mod watcher;
 
 pub use arm_lock::{ArmLock, ArmLockError};
 pub use client::Client;
@@ -76,3 +77,4 @@ pub use server::{Server, ServerSettings};
 pub use services::{boot_ns, now_ns};
 pub use stop::{StopError, StopListener, StopOrder, StopPath, StopReceipt, stop};
 pub use stream::{Delivery, SampleStream, StreamCounters, StreamSettings};
+pub use watcher::SampleWatcher;

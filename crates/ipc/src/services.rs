@@ -24,6 +24,8 @@ pub(super) const MAX_REPLAY_RECORDS: usize = 512;
 /// Capacity of a follower's buffer in batches.
 const STREAM_BUFFER_BATCHES: usize = 256;
 const MAX_FOLLOWERS: usize = 4;
+/// Maximum displays of the samples, which take no place of a follower.
+const MAX_WATCHERS: usize = 4;
 const MAX_FEED_FORWARD_CLIENTS: usize = 32;
 const MAX_MODEL_CLIENTS: usize = 16;
 /// Receivers of an arm's states: the daemon, and one whose process was killed.
@@ -222,8 +224,8 @@ pub(super) fn serve_samples(node: &ServiceNode, robot: &RobotId) -> Result<Sampl
             .subscriber_max_borrowed_samples(1)
             .history_size(0)
             .max_publishers(1)
-            .max_subscribers(MAX_FOLLOWERS)
-            .max_nodes(MAX_FOLLOWERS + SPARE_NODES)
+            .max_subscribers(MAX_FOLLOWERS + MAX_WATCHERS)
+            .max_nodes(MAX_FOLLOWERS + MAX_WATCHERS + SPARE_NODES)
             .open_or_create())
     })
 }

@@ -57,4 +57,8 @@ impl TimeGate for Gate {
     fn consumed(&self, records: u64) {
         Gate::consumed(self, records);
     }
+
+    fn under_way(&self) -> u64 {
+        Gate::under_way(self)
+    }
 }

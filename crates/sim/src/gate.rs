@@ -53,7 +53,7 @@ impl Gate {
 
     /// Pauses simulated time before the next state.
     pub fn shut(&self) {
-        self.shut.store(true, Ordering::Release);
+        self.shut.store(true, Ordering::SeqCst);
     }
 
     /// Ends all waiting: the arm returns `Fault::Disconnected` from now on.
@@ -65,7 +65,7 @@ impl Gate {
     pub fn under_way(&self) -> u64 {
         // `consumed` first, so that it cannot exceed `produced`.
         let consumed = self.consumed.load(Ordering::Acquire);
-        self.produced.load(Ordering::Acquire).saturating_sub(consumed)
+        self.produced.load(Ordering::SeqCst).saturating_sub(consumed)
     }
 
     /// Waits until one more state may be delivered, and counts it.
@@ -78,8 +78,12 @@ impl Gate {
                 return Err(Ended);
             }
             if !self.shut.load(Ordering::Acquire) && self.under_way() < self.capacity {
-                self.produced.fetch_add(1, Ordering::Release);
-                return Ok(());
+                self.produced.fetch_add(1, Ordering::SeqCst);
+                // Shut in between: either this thread sees that here, or the one that has shut it sees the state under way.
+                if !self.shut.load(Ordering::SeqCst) {
+                    return Ok(());
+                }
+                self.produced.fetch_sub(1, Ordering::SeqCst);
             }
             match tries {
                 0..SPINS => std::hint::spin_loop(),

@@ -108,6 +108,9 @@ impl Place {
         let mut command = plumbline();
         command.arg(subcommand).arg(WALL).arg("--out").arg(self.out());
         command.arg("--set").arg(format!("serve.id={}", self.id));
+        if subcommand == "run" {
+            command.arg("--verbose");
+        }
         sets.iter().for_each(|set| {
             command.arg("--set").arg(set);
         });

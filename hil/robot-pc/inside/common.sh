@@ -48,7 +48,7 @@ within() {
 # setpriv: runuser opens a session each time, which takes an emulated processor a second.
 as() { local user=$1; shift; setpriv --reuid="$user" --regid="$user" --init-groups "$@"; }
 operator() { PLUMBLINE_RUNTIME_DIR=/run/plumbline timeout $((20 * PATIENCE)) setpriv --reuid=plumbline --regid=plumbline --init-groups plumbline "$@"; }
-status() { operator command status 2>/dev/null; }
+status() { operator command status --json 2>/dev/null; }
 # field NAME: the first value of that name in the daemon's status; fields NAME...: several of one status, with a blank between.
 field() { fields "$1"; }
 fields() {

@@ -21,7 +21,7 @@ begin=$(ms)
 . ./fci-job.sh
 job() { # FOLDER PERIODS
     mapfile -t arguments < <(fci_job "$2")
-    (cd /var/lib/plumbline && runuser -u plumbline -- env PLUMBLINE_RUNTIME_DIR=/run/plumbline plumbline run \
+    (cd /var/lib/plumbline && runuser -u plumbline -- env PLUMBLINE_RUNTIME_DIR=/run/plumbline plumbline run --verbose \
         /usr/share/plumbline/config/panda-emulator-wall.toml --out "/var/lib/plumbline/$1" "${arguments[@]}") >"/tmp/$1.log" 2>&1
 }
 job job 2

@@ -87,7 +87,7 @@ genuine=$(field epoch)
 [ -d /tmp/alice-out ] && chown -R alice: /tmp/alice-out
 (cd /tmp && exec runuser -u alice -- env PLUMBLINE_RUNTIME_DIR=/tmp/alice-plumbline plumbline daemon /etc/plumbline/daemon.toml --out /tmp/alice-out) >/tmp/alice.log 2>&1 &
 rival=$!
-alice_sees() { [ -n "$(alice env PLUMBLINE_RUNTIME_DIR=/tmp/alice-plumbline plumbline command status | grep '"epoch"')" ]; }
+alice_sees() { [ -n "$(alice env PLUMBLINE_RUNTIME_DIR=/tmp/alice-plumbline plumbline command status --json | grep '"epoch"')" ]; }
 up=$(within 60000 alice_sees)
 check "a rival daemon of another user changes nothing for the operator" "it was up after $up ms; same start of the genuine one" \
     test -n "$genuine" -a "$(field epoch)" = "$genuine"

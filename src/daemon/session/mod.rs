@@ -34,6 +34,9 @@ const RING: usize = 8192;
 const DRAIN: usize = 512;
 /// Pause of the bridge thread when there is nothing to do.
 const PAUSE: Duration = Duration::from_micros(200);
+/// Simulated time that a loop rests for a model. The loop has run on for a part of it, for as long as this thread took to notice: all that it may
+/// run ahead \[ms\].
+const REST_FOR_MODEL: u64 = (RING / 2 + 2 * DRAIN) as u64;
 /// Records that simulated time may run ahead of an estimator that watches it: two seconds.
 const MAX_AHEAD_OF_WATCH: u64 = 2000;
 
@@ -63,6 +66,10 @@ pub struct Session {
     /// Events taken from the loop and not handled yet.
     events: VecDeque<TimedEvent>,
     paused: bool,
+    /// Number of the newest record's cycle.
+    newest: u64,
+    /// The cycle in which the last motion before a model ended, of an arm whose simulated time is paused since.
+    parked: Option<u64>,
     /// When the wait for a model ends, while the arm holds for one \[ns\].
     model_due_ns: Option<u64>,
     /// From state read to shared memory \[ns\].
@@ -90,6 +97,7 @@ impl Session {
             self.report_rights(&mut daemon.state);
             self.handle_events(&mut daemon.state);
             daemon.state.poll_gravity(now_ns(), self.model != 0);
+            self.unpark_stopped(&daemon.state);
             self.hand_over_model(&mut daemon.state);
             daemon.publish_model(self.model, self.gravity.into(), self.vendor.into());
             self.give_orders();
@@ -192,6 +200,7 @@ impl Session {
         self.records.clear();
         let taken = self.drain.take_into(&mut self.records, DRAIN);
         let Some(&last) = self.records.last() else { return false };
+        self.newest = last.cycle;
         self.take_events();
         // The torque first: its reader controls an arm.
         let gravity = self.labels.at(last.cycle).into();
@@ -239,7 +248,7 @@ impl Session {
     /// Pauses simulated time for an estimator that watches the served model and is behind.
     fn keep_pace_with_watch(&mut self, daemon: &Daemon) {
         let watches = daemon.state.setup.job.live.watch && self.model != 0;
-        let Some(gate) = self.gate.as_ref().filter(|_| watches) else { return };
+        let Some(gate) = self.gate.as_ref().filter(|_| watches && self.parked.is_none()) else { return };
         let served = daemon.server.served();
         let behind = served.published.saturating_sub(served.acknowledged);
         let watched = !served.followers.is_empty();
@@ -249,6 +258,14 @@ impl Session {
         } else if self.paused && (!watched || behind < MAX_AHEAD_OF_WATCH / 2) && !self.handles.controls.is_waiting() {
             self.paused = false;
             gate.open();
+        }
+    }
+
+    /// Lets simulated time go on for a stop that came while it was paused for a model.
+    fn unpark_stopped(&mut self, state: &DaemonState) {
+        if self.parked.is_some() && state.is_over() {
+            self.parked = None;
+            self.open_gate();
         }
     }
 
@@ -291,8 +308,13 @@ impl Session {
 
     fn handle_events(&mut self, state: &mut DaemonState) {
         self.take_events();
-        while let Some(TimedEvent { event, .. }) = self.events.pop_front() {
+        while let Some(TimedEvent { event, cycle, .. }) = self.events.pop_front() {
             state.take_event(&event);
+            if self.gate.is_some() && self.model == 0 && self.script.is_idle_after(&event) {
+                state.programme.progress = Progress::AwaitingModel;
+                self.parked = Some(cycle);
+                self.shut_gate();
+            }
             if let Event::Ended { motion } = event {
                 state.programme.ended.push(motion);
             }
@@ -329,7 +351,10 @@ impl Session {
                     let vendor = Some(self.vendor.into());
                     self.tape
                         .handed(RecordedModel { id: accepted.id, gravity: gravity.into(), vendor }, &accepted.text);
-                    self.open_gate();
+                    // A parked loop gets its orders with the model.
+                    if self.parked.is_none() {
+                        self.open_gate();
+                    }
                 }
                 return;
             }
@@ -357,7 +382,27 @@ impl Session {
         }
     }
 
+    /// Gives the loop what may be driven now. Simulated time that was paused for the model goes on when both are there, and the next motion begins
+    /// the same number of cycles after the last one, however long the model took: a seed gives the same samples every time.
     fn give_orders(&mut self) {
+        if let Some(ended) = self.parked {
+            if self.model == 0 || self.gate.as_ref().is_some_and(|gate| gate.under_way() > 0) {
+                return;
+            }
+            let rest = REST_FOR_MODEL.saturating_sub(self.newest.saturating_sub(ended)).max(1);
+            if let Some(Planned { order, given }) = self.script.rest(rest)
+                && self.handles.orders.give(order).is_ok()
+            {
+                self.tape.ordered(given);
+            }
+        }
+        self.give_next_orders();
+        if self.parked.take().is_some() {
+            self.open_gate();
+        }
+    }
+
+    fn give_next_orders(&mut self) {
         while self.handles.orders.room() > 0 {
             let Some(Planned { order, given }) = self.script.next(self.model != 0) else { return };
             // There is room: it was checked above, and this thread alone fills the ring.

@@ -93,6 +93,8 @@ impl Session {
             labels: GravityLabels::new(mounting.gravity()),
             events: VecDeque::new(),
             paused: false,
+            newest: 0,
+            parked: None,
             model_due_ns: None,
             bridged: Histogram::default(),
             records: Vec::with_capacity(DRAIN),

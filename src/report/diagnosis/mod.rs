@@ -12,4 +12,4 @@ pub use plumbline_diagnose::outcome::{
     MinimumDetectable, NotIdentifiable, Open, OpenKind, Parameters, Quality, Quantity, Score, Step, Stratum, Symbolic,
     Unexplained, Verdict,
 };
-pub(super) use words::{lines, name, open_question};
+pub(super) use words::{confirmation_of_one, findings_in_short, grown, headline, lines, name, open_question};

@@ -24,6 +24,17 @@ pub(in crate::report) fn context(of: &Diagnosis, figures: &Curves) -> Value {
     let plotted = |svg: String| (!svg.is_empty()).then(|| safe(svg));
     let band = band_of(&of.band);
     let rms = if band.is_empty() { "RMS / Nm".to_string() } else { format!("RMS / Nm, {band}") };
+    // What repeats shows a lack that noise hides in the errors of single runs.
+    let filled = |svg: String| (!svg.is_empty()).then_some(svg);
+    let errors_plot = filled(rows::dumbbells(&errors, &rms));
+    let floor = (!of.noise_floor.is_empty()).then_some("noise floor");
+    let unmodelled = filled(rows::dumbbells(&unmodelled(of, grown), "unmodelled RMS of the mean period / Nm"));
+    let (hero, hero_caption, hero_limit, second) = match unmodelled {
+        Some(plot) => {
+            (Some(plot), "Torque that every period repeats and the model lacks", Some("counts from here"), errors_plot)
+        }
+        None => (errors_plot, "Errors on held-out runs", floor, None),
+    };
     context! {
         verdict => of.verdict.to_string(),
         tone => tone(of.verdict),
@@ -31,7 +42,8 @@ pub(in crate::report) fn context(of: &Diagnosis, figures: &Curves) -> Value {
         wide => of.effects.len() > 2,
         headline => words::headline(of),
         sentences => words::sentences(of),
-        error => words::error(of).map(arrow),
+        lead => words::lead(of).map(arrow),
+        error => words::error_of_runs(of).map(arrow),
         effects => effects(&of.effects, of.confirmation),
         changes => of.changes.iter().map(|changes| self::changes(changes, of.confirmation)).collect::<Vec<_>>(),
         grown,
@@ -40,7 +52,10 @@ pub(in crate::report) fn context(of: &Diagnosis, figures: &Curves) -> Value {
         intervals => !of.before.intervals.is_empty(),
         floors => !of.noise_floor.is_empty(),
         runs => of.held_out_runs.len(),
-        errors_plot => plotted(rows::dumbbells(&errors, &rms)),
+        hero => hero.map(safe),
+        hero_caption,
+        hero_limit,
+        second_plot => second.map(safe),
         joints => joints(of, grown),
         notes => &of.notes,
         confirmation => of.confirmation.map(|confirmation| confirmation.to_string()),
@@ -49,7 +64,6 @@ pub(in crate::report) fn context(of: &Diagnosis, figures: &Curves) -> Value {
         spectra => spectra(figures),
         scores => plotted(scores(of)),
         equivalent => of.scores.iter().take(DRAWN).any(|score| score.equivalent),
-        unmodelled => plotted(rows::dumbbells(&unmodelled(of, grown), "unmodelled RMS of the mean period / Nm")),
         path => plotted(path(of)),
         open => words::open(of).collect::<Vec<_>>(),
         unexplained => of.unexplained.iter().map(words::unexplained).collect::<Vec<_>>(),

@@ -9,7 +9,7 @@ use plotters::prelude::*;
 
 /// Height of a row in the units of the picture.
 const ROW: u32 = 36;
-const LETTERS: usize = 36;
+const LETTERS: usize = 50;
 /// From this ratio between the largest and the smallest on, an axis is logarithmic.
 const WIDE: f64 = 40.0;
 
@@ -136,7 +136,7 @@ pub(super) fn bars(bars: &[Bar], decimals: bool) -> String {
         let mut chart = ChartBuilder::on(&area)
             .margin(6)
             .margin_right(30)
-            .set_label_area_size(LabelAreaPosition::Left, 310)
+            .set_label_area_size(LabelAreaPosition::Left, 420)
             .build_cartesian_2d(range, 0.0..count as f64)?;
         let middle = |k: usize| (count - 1 - k) as f64 + 0.5;
         chart.draw_series([PathElement::new([(0.0, 0.0), (0.0, count as f64)], EDGE.stroke_width(1))])?;

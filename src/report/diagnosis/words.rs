@@ -45,6 +45,46 @@ fn findings(of: &Diagnosis) -> Vec<String> {
         .collect()
 }
 
+/// The findings for a table, the parameters first; what would have been seen where there are none.
+pub(in crate::report) fn findings_in_short(of: &Diagnosis) -> Vec<String> {
+    if of.verdict == Verdict::NothingSignificant {
+        return Vec::from_iter(
+            hardest(of).map(|(most, ..)| format!("an effect of {} Nm RMS would have been seen", digits(most))),
+        );
+    }
+    let listed_changes = of.changes.iter().filter(|changes| !all_listed(changes, of));
+    let changed = listed_changes.flat_map(|changes| &changes.effects);
+    let effects: Vec<&Effect> = of.effects.iter().chain(changed).collect();
+    let one = effects.len() == 1;
+    let effect = |effect: &&Effect| {
+        let parameters = effect.parameters.0.iter().map(|p| format!("{} {}", p.name, quantity(p, "+-")));
+        // The headline names an effect that is alone.
+        let mut parts: Vec<String> = if one { Vec::new() } else { vec![name(effect)] };
+        parts.extend(parameters);
+        parts.extend((!one).then(|| confirmed(effect, of.confirmation)));
+        let rivals = effect.alternatives.iter().map(|id| format!("or {}", plain(id)));
+        parts.into_iter().chain(rivals).collect::<Vec<_>>().join(", ")
+    };
+    let unexplained = of.unexplained.iter().map(|open| {
+        let size = open.rms.map_or(String::new(), |rms| format!(": {} Nm", fixed(rms)));
+        let depends = if open.depends_on.is_empty() {
+            String::new()
+        } else {
+            format!(" over {}", listed(open.depends_on.iter().cloned()))
+        };
+        format!("unexplained in joint {}{size}{depends}", open.joint)
+    });
+    effects.iter().map(effect).chain(unexplained).filter(|line| !line.is_empty()).collect()
+}
+
+/// Whether the only effect was confirmed; `None` where there is not one alone.
+pub(in crate::report) fn confirmation_of_one(of: &Diagnosis) -> Option<String> {
+    match &of.effects[..] {
+        [effect] => Some(confirmed(effect, of.confirmation)),
+        _ => None,
+    }
+}
+
 /// That an effect is not in the delivered model, where it is not.
 pub(super) fn left(effect: &Effect) -> Option<&'static str> {
     match (effect.in_model, effect.stratum) {
@@ -69,7 +109,7 @@ fn all_listed(changes: &Changes, of: &Diagnosis) -> bool {
 const NAMED: usize = 2;
 
 /// What was found, in a few words for the head of the page; what the verdict says by itself is not repeated.
-pub(super) fn headline(of: &Diagnosis) -> String {
+pub(in crate::report) fn headline(of: &Diagnosis) -> String {
     let changed = of.changes.iter().filter(|changes| !all_listed(changes, of)).flat_map(|changes| &changes.effects);
     let mut names: Vec<String> = of.effects.iter().chain(changed).map(name).collect();
     names.extend(of.unexplained.iter().map(|open| format!("a residual in joint {}", open.joint)));
@@ -109,22 +149,28 @@ fn counted(of: &Diagnosis) -> String {
     parts.into_iter().flatten().collect::<Vec<_>>().join(", ")
 }
 
-/// What "nothing" means, as a number.
-fn seen(of: &Diagnosis) -> String {
+/// Torque RMS of the effect that is hardest to see, of the median one, and which it is, in which joint (from 0).
+fn hardest(of: &Diagnosis) -> Option<(f64, f64, &str, usize)> {
     let each = of
         .minimum_detectable
         .iter()
         .flat_map(|(id, least)| least.torque_rms.iter().enumerate().map(move |(j, rms)| (*rms, id.as_str(), j)));
     let mut all: Vec<(f64, &str, usize)> = each.filter(|(rms, ..)| rms.is_finite()).collect();
     all.sort_by(|a, b| a.0.total_cmp(&b.0));
-    let (Some((half, ..)), Some((most, id, j))) = (all.get(all.len() / 2), all.last()) else {
+    let (&(most, id, j), &(half, ..)) = (all.last()?, all.get(all.len() / 2)?);
+    Some((most, half, id, j))
+}
+
+/// What "nothing" means, as a number.
+fn seen(of: &Diagnosis) -> String {
+    let Some((most, half, id, j)) = hardest(of) else {
         return "how small an effect would have been seen is not known".into();
     };
     let except = if of.not_identifiable.is_empty() { "" } else { ", unless the base parameters absorb it" };
     format!(
         "any known effect of {} Nm RMS or more would have been seen{except}, half of them from {} Nm on (hardest to see: {} in joint {})",
-        digits(*most),
-        digits(*half),
+        digits(most),
+        digits(half),
         plain(id),
         j + 1
     )
@@ -308,8 +354,29 @@ fn errors(of: &Diagnosis, lines: &mut Vec<String>) {
     }
 }
 
+/// What the mean period of the joint that lacked most lacks, before and after; `None` where nothing repeats or no effect was added.
+pub(super) fn lead(of: &Diagnosis) -> Option<String> {
+    let before = |joint: &usize| of.joints[*joint].unmodelled.before.unwrap_or(0.0);
+    let worst =
+        (0..of.joints.len()).max_by(|one, other| before(one).total_cmp(&before(other))).filter(|_| grown(of))?;
+    let facts = of.joints[worst];
+    let (before, after) = (facts.unmodelled.before?, facts.unmodelled.after?);
+    facts.floor_of_mean?;
+    let (before, after) = (fixed(before), fixed(after));
+    Some(format!("Torque that repeats and is not modelled, joint {}: {before} -> {after} Nm", worst + 1))
+}
+
 /// The worst joint's error on unseen runs, and what its mean period lacks.
 pub(super) fn error(of: &Diagnosis) -> Option<String> {
+    error_with(of, true)
+}
+
+/// The worst joint's error on unseen runs alone.
+pub(super) fn error_of_runs(of: &Diagnosis) -> Option<String> {
+    error_with(of, lead(of).is_none())
+}
+
+fn error_with(of: &Diagnosis, mean_period: bool) -> Option<String> {
     let (before, after) = (&of.before, &of.after);
     let worst = worst(of, before)?;
     let band = match band_of(&of.band) {
@@ -330,7 +397,7 @@ pub(super) fn error(of: &Diagnosis) -> Option<String> {
     let next = self::worst(of, after).filter(|next| apart(*next));
     let next =
         next.map_or(String::new(), |j| format!("; worst now ({}): {}{}", j + 1, fixed(after.validate_rms[j]), with(j)));
-    let lacks = unmodelled(of, worst).unwrap_or_default();
+    let lacks = unmodelled(of, worst).filter(|_| mean_period).unwrap_or_default();
     Some(format!("{start} ({}): {figure} -> {} Nm{}{lacks}{next}", worst + 1, fixed(now), with(worst)))
 }
 
@@ -342,7 +409,7 @@ fn unmodelled(of: &Diagnosis, joint: usize) -> Option<String> {
 }
 
 /// Whether the delivered model has effects or learned terms that the one before had not, or was identified without what acts in a part of the recording.
-pub(super) fn grown(of: &Diagnosis) -> bool {
+pub(in crate::report) fn grown(of: &Diagnosis) -> bool {
     let learned = of.empirical.iter().any(|term| term.in_model);
     !of.after.validate_rms.is_empty() && (learned || of.effects.iter().any(Effect::counts))
 }

@@ -188,7 +188,7 @@ fn curve(title: String, joint: usize, course: &Course, spline: &Spline, signals:
         .unzip();
     EffectFigure {
         title,
-        variable: format!("{} [{}]", course.variable, course.variable.unit()),
+        variable: format!("{} / {}", course.variable, course.variable.unit()),
         joint: joint + 1,
         x: bins.iter().map(|bin| bin.at).collect(),
         mean: bins.iter().map(|bin| bin.mean).collect(),

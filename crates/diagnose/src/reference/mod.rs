@@ -20,7 +20,7 @@ use super::fit::{Prior, Problem, inverse};
 use super::input::Settings;
 use super::library::{self, Candidate};
 use super::moments::Columns;
-use super::select::{Found, Scored, Search, Selected, Step};
+use super::select::{Found, Scored, Search, Selected, Step, Watch};
 use super::span::Span;
 use super::state::{State, every, mean_square};
 use nalgebra::{DMatrix, DVector};
@@ -116,7 +116,7 @@ pub fn families() -> Vec<&'static Family> {
 
 /// What changed since `reference` was identified; where the trials are of several sessions, before the first or with a later one. They
 /// are in mountings that the model is valid in. Nothing is found when they are too short.
-pub fn changes(reference: &TorqueModel, trials: &[Trial], settings: &Settings, progress: &dyn Fn(&Step)) -> Changes {
+pub fn changes(reference: &TorqueModel, trials: &[Trial], settings: &Settings, progress: &Watch) -> Changes {
     among(reference, trials, &families(), settings, progress)
 }
 
@@ -126,7 +126,7 @@ pub fn among(
     trials: &[Trial],
     families: &[&'static Family],
     settings: &Settings,
-    progress: &dyn Fn(&Step),
+    progress: &Watch,
 ) -> Changes {
     let structure = reference.structure();
     let evidence = Evidence::of(structure.chain(), trials, settings.band);
@@ -157,12 +157,7 @@ pub fn among(
 
 /// What changed between sessions: parameters are fitted to all of them together, and every family may have come with any session
 /// after the first. Nothing is found within one session.
-pub fn between_sessions(
-    structure: &Structure,
-    trials: &[Trial],
-    settings: &Settings,
-    progress: &dyn Fn(&Step),
-) -> Changes {
+pub fn between_sessions(structure: &Structure, trials: &[Trial], settings: &Settings, progress: &Watch) -> Changes {
     let evidence = Evidence::of(structure.chain(), trials, settings.band);
     if evidence.folds().is_empty() {
         return Changes::default();

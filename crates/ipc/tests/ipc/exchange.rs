@@ -6,9 +6,11 @@ use std::time::Duration;
 
 use plumbline_ipc::{
     Client, Delivery, FeedForwardClient, FeedForwardMessage, FeedForwardSettings, FollowerEvent, IpcError, Lock,
-    MAX_REQUEST_BYTES, Presence, Request, Response, SampleStream, Server, ServerSettings, Status, StreamSettings,
+    MAX_REQUEST_BYTES, Presence, Request, Response, SampleStream, SampleWatcher, Server, ServerSettings, Status,
+    StreamSettings,
 };
 use plumbline_testkit::memory::*;
+use plumbline_testkit::wait::wait_for;
 use rand::{Rng, RngCore, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -69,6 +71,31 @@ fn a_follower_with_pauses_receives_every_record_once_and_in_order() {
     let served = daemon.stop();
     assert_eq!((served.published, served.acknowledged, served.epoch), (TOTAL, TOTAL, epoch));
     assert_eq!((served.given_up_unacknowledged, served.unsent_batches, served.trouble), (0, 0, None));
+    assert!(served.followers.is_empty());
+}
+
+#[test]
+fn a_watcher_reads_samples_and_is_no_follower() {
+    let robot = robot("watcher");
+    let (go, started) = mpsc::channel::<()>();
+    let daemon = Daemon::start(&robot, ServerSettings::default(), move |server, stop| {
+        started.recv().unwrap();
+        server.publish(&(0..50).map(record).collect::<Vec<_>>());
+        poll_until(server, stop);
+        server.served()
+    });
+    let mut watcher = SampleWatcher::connect(&robot, TIMEOUT).unwrap();
+    go.send(()).unwrap();
+    let mut records = Vec::new();
+    wait_for("the samples", || {
+        watcher.take(|record| records.push(*record)).unwrap();
+        (records.len() >= 50).then_some(())
+    });
+    assert_eq!(records.len(), 50);
+    (0..50).for_each(|cycle| assert_is_record(&records[cycle as usize], cycle));
+    drop(watcher);
+    let served = daemon.stop();
+    assert_eq!((served.published, served.acknowledged, served.trouble), (50, 0, None));
     assert!(served.followers.is_empty());
 }
 

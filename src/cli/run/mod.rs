@@ -1,21 +1,31 @@
 //! `plumbline run`: daemon, estimator and report on one machine, without systemd.
 
+mod process;
+mod watch;
+
 use crate::analysis::next;
+use crate::cli::output::Output;
 use crate::cli::say::say;
+use crate::config::job::Job;
 use crate::failure::Failure;
+use crate::process::owned;
 use crate::process::signals::Ending;
-use crate::process::{owned, progress};
 use crate::report::Report;
+use crate::report::provenance;
+use crate::setup::programme::{Programme, Role};
 use crate::setup::{JobOptions, programme, robot_id};
 use clap::Args;
-use plumbline_ipc::{Client, Progress, Request, Response, RobotId, Status};
+use plumbline_ipc::{Progress, RobotId};
 use plumbline_model_file::models;
-use rustix::process::{Pid, Signal, kill_process};
+use process::{
+    EstimatorOptions, POLL_INTERVAL, Process, START_TIMEOUT, Start, await_daemon, await_follower, start, status,
+};
 use std::ffi::OsStr;
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, ExitStatus, Stdio};
+use std::process::Stdio;
 use std::time::{Duration, Instant};
+use watch::Watch;
 
 /// Options of `plumbline run`.
 #[derive(Args)]
@@ -25,20 +35,29 @@ pub struct Options {
     /// Model to serve until the identified one; needed for torque control of an arm that is not mounted upright
     #[arg(long, value_name = "MODEL")]
     model: Option<PathBuf>,
+    #[command(flatten)]
+    output: Output,
 }
 
-/// Timeout of the start of daemon and estimator.
-const START_TIMEOUT: Duration = Duration::from_secs(30);
+impl Options {
+    pub(super) fn output(&self) -> &Output {
+        &self.output
+    }
+}
+
 /// Timeout of a response.
 const RESPONSE_TIMEOUT: Duration = Duration::from_secs(5);
-/// Interval of the status queries.
-const POLL_INTERVAL: Duration = Duration::from_millis(100);
 /// Restarts of a killed estimator.
 const MAX_ESTIMATOR_RESTARTS: usize = 3;
+/// Room that a dataset takes per sample and joint: positions, velocities, measured and served torques as text \[bytes\].
+const DATASET_BYTES: u64 = 60;
+/// Room for models, plans and the report \[bytes\].
+const OTHER_BYTES: u64 = 20 << 20;
 
 /// Runs the job, and again with the motion that is planned for what its diagnosis leaves open; then prints the results.
 pub fn run(mut options: Options) -> Result<(), Failure> {
     let (job, _, out) = options.job.load()?;
+    options.output.may_replace(&out, &job.file)?;
     let plan = out.join(next::FILE);
     let mut before: Option<PathBuf> = None;
     for round in 1..=1 + job.diagnosis.rounds {
@@ -50,14 +69,16 @@ pub fn run(mut options: Options) -> Result<(), Failure> {
         }
         let dir = out.join(format!("round-{round}"));
         put_aside(&out, &dir)?;
-        say!("round {round}: {}", dir.join("report.html").display());
-        for line in Report::read(&dir)?.diagnosis_lines() {
-            say!("  {line}");
+        if !options.output.quiet && !options.output.json {
+            say!("round {round}: {}", dir.join("report.html").display());
+            for line in Report::read(&dir)?.diagnosis_lines() {
+                say!("  {line}");
+            }
         }
         options.job.sets.extend(next_round(&dir, job.diagnosis.rounds - round)?);
         before = Some(dir);
     }
-    summarise(&out)
+    options.output.show(&Report::read(&out)?, &out)
 }
 
 /// What a job of the next round has in the place of its own keys: the motion that was planned, and nothing else.
@@ -107,7 +128,7 @@ fn one_round(options: &Options, before: Option<&Path>) -> Result<(), Failure> {
     std::fs::create_dir_all(&out).map_err(|error| Failure::job(format!("{}: {error}", out.display())))?;
     let arm_limits = connector.read_limits().map_err(Failure::job)?;
     let programme = programme::plan_or_load(&job, &robot, &out, arm_limits.as_ref())?;
-    let ticks: usize = programme.motions().map(|motion| motion.ticks()).sum();
+    check_room(&job, &programme, robot.chain.len(), &out)?;
 
     let ending = Ending::watch()?;
     // The inheritable lock is closed again before another process starts.
@@ -118,10 +139,14 @@ fn one_round(options: &Options, before: Option<&Path>) -> Result<(), Failure> {
     if let Some(model) = &options.model {
         more.extend([OsStr::new("--model"), model.as_os_str()]);
     }
-    let mut daemon = Process::start("daemon", &options.job, &out, &more)?;
+    let of = Start { job: &options.job, out: &out, log: options.output.log_filter() };
+    let mut daemon = Process::start("daemon", of, &more, Stdio::inherit())?;
     drop(passed_on);
-    let results = EstimatorOptions { job: &options.job, out: &out, before };
-    let outcome = drive(&id, results, &mut daemon, ticks as u64, &ending);
+    let command = provenance::command_line().unwrap_or_default();
+    let results = EstimatorOptions { start: of, before, command: &command };
+    // With the log, which has them, motions need no line of their own.
+    let watch = Watch::new(&programme, !options.output.quiet && !options.output.verbose);
+    let outcome = drive(&id, results, &mut daemon, watch, &ending);
     // The daemon ends with a controlled stop if the arm moves.
     let ended = daemon.end()?;
     outcome?;
@@ -131,37 +156,40 @@ fn one_round(options: &Options, before: Option<&Path>) -> Result<(), Failure> {
     Ok(())
 }
 
-/// What an estimator of this job is started with.
-#[derive(Clone, Copy)]
-struct EstimatorOptions<'a> {
-    job: &'a JobOptions,
-    out: &'a Path,
-    before: Option<&'a Path>,
+/// Refuses to drive where the results will not fit on the disk.
+fn check_room(job: &Job, programme: &Programme, joints: usize, out: &Path) -> Result<(), Failure> {
+    let kept = |role: Role| matches!(role, Role::Identify | Role::Validate) && job.output.dataset;
+    let ticks: usize = programme.motions().filter(|motion| kept(motion.role)).map(|motion| motion.ticks()).sum();
+    let needed = OTHER_BYTES + DATASET_BYTES * (ticks * joints) as u64;
+    // A file system that does not tell its room is no reason to refuse.
+    let Ok(system) = rustix::fs::statvfs(out) else { return Ok(()) };
+    let free = system.f_bavail.saturating_mul(system.f_frsize);
+    if free >= needed { Ok(()) } else { Err(no_room(out, free, needed, job.output.dataset)) }
 }
 
-impl EstimatorOptions<'_> {
-    fn start(self) -> Result<Process, Failure> {
-        let mut more = vec![OsStr::new("--once")];
-        if let Some(before) = self.before {
-            more.extend([OsStr::new("--after"), before.as_os_str()]);
-        }
-        Process::start("estimator", self.job, self.out, &more)
-    }
+fn no_room(out: &Path, free: u64, needed: u64, dataset: bool) -> Failure {
+    let mega = |bytes: u64| bytes.div_ceil(1 << 20);
+    let dataset = if dataset { "; `output.dataset = false` keeps no recordings" } else { "" };
+    Failure::job(format!(
+        "{}: {} MiB are free, and the results of this job take about {} MiB; nothing was driven{dataset}",
+        out.display(),
+        mega(free),
+        mega(needed)
+    ))
 }
 
 fn drive(
     id: &RobotId,
     results: EstimatorOptions,
     daemon: &mut Process,
-    ticks: u64,
+    mut watch: Watch,
     ending: &Ending,
 ) -> Result<(), Failure> {
     let mut client = await_daemon(id, daemon)?;
-    let mut estimator = results.start()?;
+    let (mut estimator, mut stages) = results.start()?;
     let outcome = (|| {
         await_follower(&mut client, daemon, &mut estimator)?;
         start(&mut client, ending)?;
-        let bar = progress::bar("running");
         let mut restarts = 0;
         let mut stopped: Option<Instant> = None;
         loop {
@@ -177,7 +205,7 @@ fn drive(
                 Some(ended) if ended.code().is_none() && restarts < MAX_ESTIMATOR_RESTARTS => {
                     restarts += 1;
                     tracing::warn!("the estimator was killed ({ended}); a new one continues with the daemon's samples");
-                    estimator = results.start()?;
+                    (estimator, stages) = results.start()?;
                 }
                 Some(ended) => {
                     let stopped = status(&mut client).and_then(|now| now.stopped);
@@ -189,7 +217,7 @@ fn drive(
             }
             // A missing response is ignored: an ended daemon is detected above.
             if let Some(now) = status(&mut client) {
-                bar.at(now.cycles as f64 / (1.3 * ticks as f64), &now.job);
+                watch.show(&now, &stages);
                 // The estimator should end by itself after a stop.
                 if now.progress == Progress::Stopped
                     && stopped.get_or_insert_with(Instant::now).elapsed() > START_TIMEOUT
@@ -201,7 +229,7 @@ fn drive(
                 }
             }
         }
-        bar.done();
+        watch.done();
         Ok(())
     })();
     if outcome.is_err() && estimator.ended()?.is_none() {
@@ -209,129 +237,4 @@ fn drive(
         estimator.child.wait().map_err(Failure::job)?;
     }
     outcome
-}
-
-/// Waits for the daemon that this process has started. The client is bound to that daemon.
-fn await_daemon(id: &RobotId, daemon: &mut Process) -> Result<Client, Failure> {
-    let start = Instant::now();
-    loop {
-        if let Some(ended) = daemon.ended()? {
-            return Err(Failure::job(format!("the daemon did not start: {ended}")));
-        }
-        let found = Client::connect(id, POLL_INTERVAL).and_then(|mut client| {
-            let answer = client.send(&Request::Status {}, RESPONSE_TIMEOUT)?;
-            Ok((client, answer))
-        });
-        match found {
-            Ok((mut client, Response::Status(status))) => {
-                let own = daemon.child.id();
-                if status.process != own {
-                    return Err(Failure::job(format!(
-                        "another daemon (process {}) serves robot `{id}`; it is left alone, and the daemon of this run (process {own}) is \
-                         ended",
-                        status.process
-                    )));
-                }
-                client.bind(status.served.epoch);
-                return Ok(client);
-            }
-            Ok((_, other)) => {
-                return Err(Failure::job(format!("unexpected response of the daemon to a status request: {other:?}")));
-            }
-            Err(error) if start.elapsed() > START_TIMEOUT => return Err(Failure::job(error)),
-            Err(_) => {}
-        }
-    }
-}
-
-/// Waits until the daemon has registered the estimator of this process, so that the first samples need no replay.
-fn await_follower(client: &mut Client, daemon: &mut Process, estimator: &mut Process) -> Result<(), Failure> {
-    let start = Instant::now();
-    while start.elapsed() < START_TIMEOUT {
-        let own = estimator.child.id();
-        if status(client).is_some_and(|status| status.served.followers.iter().any(|follower| follower.pid == own)) {
-            return Ok(());
-        }
-        for process in [&mut *daemon, &mut *estimator] {
-            if let Some(ended) = process.ended()? {
-                return Err(Failure::job(format!("the {} did not start: {ended}", process.name)));
-            }
-        }
-        std::thread::sleep(POLL_INTERVAL);
-    }
-    Err(Failure::job("the estimator did not find the daemon"))
-}
-
-/// The daemon's status, if it responds.
-fn status(client: &mut Client) -> Option<Status> {
-    match client.send(&Request::Status {}, RESPONSE_TIMEOUT).ok()? {
-        Response::Status(status) => Some(*status),
-        _ => None,
-    }
-}
-
-/// Starts the programme. A refusal is retried, because the inclinometer may still be starting.
-fn start(client: &mut Client, ending: &Ending) -> Result<(), Failure> {
-    let begin = Instant::now();
-    loop {
-        match client.send(&Request::Start {}, START_TIMEOUT).map_err(Failure::job)? {
-            Response::Accepted {} => return Ok(()),
-            Response::Refused { .. } if begin.elapsed() < START_TIMEOUT && !ending.arrived() => {
-                std::thread::sleep(POLL_INTERVAL);
-            }
-            Response::Refused { reason } => return Err(Failure::job(format!("the daemon does not start: {reason}"))),
-            other => return Err(Failure::job(format!("unexpected response of the daemon to a start: {other:?}"))),
-        }
-    }
-}
-
-struct Process {
-    name: &'static str,
-    child: Child,
-}
-
-impl Process {
-    fn start(name: &'static str, job: &JobOptions, out: &Path, more: &[&OsStr]) -> Result<Process, Failure> {
-        let program = std::env::current_exe().map_err(Failure::job)?;
-        let mut command = Command::new(program);
-        command.arg(name).arg(&job.config).arg("--out").arg(out).args(more);
-        for set in &job.sets {
-            command.arg("--set").arg(set);
-        }
-        // The standard input of the child is closed when this process ends.
-        command.stdin(Stdio::piped());
-        let child = command.spawn().map_err(|error| Failure::job(format!("the {name} can't be started: {error}")))?;
-        Ok(Process { name, child })
-    }
-
-    fn ended(&mut self) -> Result<Option<ExitStatus>, Failure> {
-        self.child.try_wait().map_err(Failure::job)
-    }
-
-    /// Ends the child by SIGTERM, and by SIGKILL after a timeout.
-    fn end(&mut self) -> Result<ExitStatus, Failure> {
-        let start = Instant::now();
-        let mut signalled = false;
-        loop {
-            if let Some(ended) = self.ended()? {
-                return Ok(ended);
-            }
-            if !std::mem::replace(&mut signalled, true) {
-                kill_process(Pid::from_child(&self.child), Signal::TERM).map_err(Failure::job)?;
-            }
-            if start.elapsed() > START_TIMEOUT {
-                self.child.kill().map_err(Failure::job)?;
-            }
-            std::thread::sleep(Duration::from_millis(5));
-        }
-    }
-}
-
-/// Prints the results and the path of the report.
-fn summarise(out: &Path) -> Result<(), Failure> {
-    for line in Report::read(out)?.summary() {
-        say!("{line}");
-    }
-    say!("report: {}", out.join("report.html").display());
-    Ok(())
 }

@@ -1,0 +1,227 @@
+//! `plumbline monitor`: the live view of a running daemon.
+
+mod view;
+mod watched;
+
+use crate::failure::Failure;
+use clap::Args;
+use plumbline_ipc::{Client, IpcError, ModelClient, Request, Response, RobotId, SampleWatcher};
+use plumbline_model_file::models;
+use ratatui::DefaultTerminal;
+use ratatui::crossterm::event::{self, Event, KeyCode, KeyEventKind, KeyModifiers};
+use std::io::IsTerminal;
+use std::time::{Duration, Instant};
+use watched::Watched;
+
+/// Options of `plumbline monitor`.
+#[derive(Args)]
+pub struct Options {
+    /// Robot that the daemon drives
+    #[arg(long, default_value = "panda")]
+    robot: String,
+}
+
+const TIMEOUT: Duration = Duration::from_secs(2);
+/// Interval of the display.
+const FRAME: Duration = Duration::from_millis(100);
+/// Interval of the status queries.
+const STATUS: Duration = Duration::from_millis(300);
+
+/// What a key asks for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Action {
+    Leave,
+    /// At once: a stop is never asked about.
+    Stop,
+    /// After a confirmation, because the arm moves or its torque changes.
+    Ask(Order),
+    Reject,
+    Confirm,
+    Dismiss,
+    None,
+}
+
+/// Orders that need a confirmation.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Order {
+    Start,
+    Resume,
+    Adopt,
+}
+
+impl Order {
+    fn request(self) -> Request {
+        match self {
+            Order::Start => Request::Start {},
+            Order::Resume => Request::Resume {},
+            Order::Adopt => Request::Adopt {},
+        }
+    }
+
+    /// What the confirmation asks.
+    fn question(self) -> &'static str {
+        match self {
+            Order::Start => "START the job? The arm moves.",
+            Order::Resume => "RESUME after the stop? The arm may move.",
+            Order::Adopt => "ADOPT the proposed model? The torque changes.",
+        }
+    }
+}
+
+/// The action of a key, where a question is `asked` or not.
+fn action(key: KeyCode, modifiers: KeyModifiers, asked: bool) -> Action {
+    let control = modifiers.contains(KeyModifiers::CONTROL);
+    match (key, asked) {
+        // A stop works whatever is on the screen.
+        (KeyCode::Char(' ' | 's' | 'p'), _) if !control => Action::Stop,
+        (KeyCode::Char('c'), _) if control => Action::Leave,
+        (KeyCode::Char('y'), true) => Action::Confirm,
+        (_, true) => Action::Dismiss,
+        (KeyCode::Char('q') | KeyCode::Esc, _) => Action::Leave,
+        (KeyCode::Char('g'), _) => Action::Ask(Order::Start),
+        (KeyCode::Char('r'), _) => Action::Ask(Order::Resume),
+        (KeyCode::Char('a'), _) => Action::Ask(Order::Adopt),
+        (KeyCode::Char('x'), _) => Action::Reject,
+        _ => Action::None,
+    }
+}
+
+/// Shows the daemon until the person leaves. Leaving does nothing to the arm.
+pub fn run(options: Options) -> Result<(), Failure> {
+    let id = RobotId::parse("command line", "--robot", &options.robot)?;
+    if !std::io::stdout().is_terminal() || !std::io::stdin().is_terminal() {
+        return Err(Failure::job(
+            "standard input and output are no terminal; `plumbline command status` and `plumbline torque` print lines",
+        ));
+    }
+    // Before the screen is taken: a missing daemon is named in plain text.
+    let client = Client::connect_operator(&id, TIMEOUT).map_err(crate::cli::unreachable)?;
+    let mut terminal = ratatui::try_init().map_err(|error| Failure::job(format!("terminal: {error}")))?;
+    let ended =
+        Monitor { id, client: Some(client), samples: None, model: None, watched: Watched::default(), asked: None }
+            .follow(&mut terminal);
+    ratatui::restore();
+    ended
+}
+
+struct Monitor {
+    id: RobotId,
+    client: Option<Client>,
+    samples: Option<SampleWatcher>,
+    model: Option<ModelClient>,
+    watched: Watched,
+    asked: Option<Order>,
+}
+
+impl Monitor {
+    fn follow(mut self, terminal: &mut DefaultTerminal) -> Result<(), Failure> {
+        let mut last: Option<Instant> = None;
+        loop {
+            if last.is_none_or(|last| last.elapsed() >= STATUS) {
+                last = Some(Instant::now());
+                self.query();
+            }
+            self.read();
+            let (watched, asked) = (&self.watched, self.asked);
+            terminal
+                .draw(|frame| view::draw(frame, watched, asked.map(Order::question)))
+                .map_err(|error| Failure::job(format!("terminal: {error}")))?;
+            if !event::poll(FRAME).map_err(Failure::job)? {
+                continue;
+            }
+            let Event::Key(key) = event::read().map_err(Failure::job)? else { continue };
+            if key.kind != KeyEventKind::Press {
+                continue;
+            }
+            match action(key.code, key.modifiers, self.asked.is_some()) {
+                Action::Leave => return Ok(()),
+                Action::Stop => self.stop(),
+                Action::Ask(order) => self.asked = Some(order),
+                Action::Reject => self.send(&Request::Reject {}),
+                Action::Confirm => {
+                    if let Some(order) = self.asked.take() {
+                        self.send(&order.request());
+                    }
+                }
+                Action::Dismiss => self.asked = None,
+                Action::None => {}
+            }
+        }
+    }
+
+    /// Asks for the status, connecting anew to a daemon that was started again.
+    fn query(&mut self) {
+        let short = Duration::from_millis(50);
+        if self.client.is_none() {
+            self.client = Client::connect_operator(&self.id, short).ok();
+        }
+        let answer = self.client.as_mut().map(|client| client.send(&Request::Status {}, TIMEOUT));
+        match answer {
+            Some(Ok(Response::Status(status))) => self.watched.status(*status),
+            Some(Err(IpcError::NoDaemon { .. })) | None => {
+                (self.client, self.samples, self.model) = (None, None, None);
+                self.watched.gone();
+            }
+            Some(Ok(_) | Err(_)) => {}
+        }
+        if self.client.is_some() && self.samples.is_none() {
+            self.samples = SampleWatcher::connect(&self.id, short).ok();
+            self.model = ModelClient::connect(&self.id, short).ok();
+        }
+    }
+
+    /// Takes samples and models that have arrived.
+    fn read(&mut self) {
+        let watched = &mut self.watched;
+        if let Some(samples) = &mut self.samples
+            && samples.take(|record| watched.record(record)).is_err()
+        {
+            self.samples = None;
+        }
+        if let Some(Ok(Some(message))) = self.model.as_mut().map(ModelClient::receive)
+            && let Ok((file, _)) = models::parse("the served model", &message.text, None)
+        {
+            self.watched.floor = file.noise_floor;
+        }
+    }
+
+    fn stop(&mut self) {
+        self.asked = None;
+        let said = match plumbline_ipc::stop(&self.id) {
+            Ok(taken) => format!("stop: the daemon (process {}) has received it", taken.process),
+            Err(error) => format!("STOP FAILED: {error}"),
+        };
+        self.watched.note(said);
+    }
+
+    fn send(&mut self, request: &Request) {
+        let order = request.order().unwrap_or("status");
+        let said = match self.client.as_mut().map(|client| client.send(request, TIMEOUT)) {
+            Some(Ok(Response::Refused { reason })) => format!("{order} refused: {reason}"),
+            Some(Ok(_)) => format!("{order} accepted"),
+            Some(Err(error)) => format!("{order} failed: {error}"),
+            None => format!("{order} failed: no daemon"),
+        };
+        self.watched.note(said);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_moves_the_arm_is_asked_about_and_a_stop_never_is() {
+        let key = |c: char, asked| action(KeyCode::Char(c), KeyModifiers::NONE, asked);
+        for (c, order) in [('g', Order::Start), ('r', Order::Resume), ('a', Order::Adopt)] {
+            assert_eq!(key(c, false), Action::Ask(order));
+            // A second press of the same key does not confirm.
+            assert_eq!(key(c, true), Action::Dismiss);
+        }
+        for asked in [false, true] {
+            assert_eq!((key(' ', asked), key('s', asked), key('p', asked)), (Action::Stop, Action::Stop, Action::Stop));
+        }
+        assert_eq!((key('y', false), key('y', true), key('n', true)), (Action::None, Action::Confirm, Action::Dismiss));
+        assert_eq!((key('q', false), key('q', true)), (Action::Leave, Action::Dismiss));
+    }
+}
