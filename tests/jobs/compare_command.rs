@@ -55,7 +55,7 @@ fn succeed(arguments: &[&str]) -> String {
 
 fn compare(dir: &Path, data: &str, out: &str) -> (Report, String) {
     let path = |name: &str| dir.join(name).display().to_string();
-    let printed = succeed(&["compare", &path("before/model.toml"), &path(data), "--out", &path(out)]);
+    let printed = succeed(&["compare", "--verbose", &path("before/model.toml"), &path(data), "--out", &path(out)]);
     let text = std::fs::read_to_string(dir.join(out).join("report.json")).unwrap();
     assert!(dir.join(out).join("report.html").is_file());
     (serde_json::from_str(&text).unwrap(), printed)
