@@ -65,7 +65,7 @@ pub fn run(question: &Question) -> Result<Diagnosed, Failure> {
     .map_err(Failure::job)?;
     bar.done();
     let (structure, identification) = (outcome.after.structure, outcome.after.identification);
-    let after = pipeline::identified(question.robot, question.identify, structure, identification)?;
+    let after = pipeline::identified(question.robot, question.identify, structure, identification, question.settings)?;
     let mut block = outcome.diagnosis;
     block.band = question.of.band(question.settings.torque_cutoff);
     block.notes.extend(notes);

@@ -54,7 +54,7 @@ fn uncertainty(model: &TorqueModel, rng: &mut ChaCha8Rng) -> TorqueUncertainty {
     let mut freedom: Vec<f64> = (0..p).map(|_| rng.random_range(3.0..300.0)).collect();
     freedom[4] = f64::INFINITY;
     let residual_std = (0..7).map(|_| rng.random_range(0.1..0.3)).collect();
-    TorqueUncertainty { parameters: Spread { covariance, freedom }, residual_std, residual_freedom: 1234.5 }
+    TorqueUncertainty { parameters: Spread { covariance, freedom }, residual_std, residual_freedom: 1234.5, residual_spectrum: None }
 }
 
 fn parse(text: &str) -> Result<ModelFile, String> {

@@ -31,7 +31,7 @@ pub fn file(model: TorqueModel) -> ModelFile {
     let (p, n) = (model.parameters().len(), model.structure().chain().len());
     let covariance = DMatrix::from_fn(p, p, |c, d| if c == d { 0.1 * 0.1 } else { 0.5 * 0.1 * 0.1 });
     let parameters = Spread { covariance, freedom: vec![100.0; p] };
-    let uncertainty = TorqueUncertainty { parameters, residual_std: vec![0.1; n], residual_freedom: 1000.0 };
+    let uncertainty = TorqueUncertainty { parameters, residual_std: vec![0.1; n], residual_freedom: 1000.0, residual_spectrum: None };
     let (noise_floor, validation, provenance) = (Vec::new(), Vec::new(), Provenance::default());
     ModelFile { model, noise_floor, validation, uncertainty: Some(uncertainty), consistent: None, provenance }
 }
