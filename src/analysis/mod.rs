@@ -4,6 +4,7 @@ pub mod checks;
 pub mod collector;
 pub mod diagnosis;
 pub mod excitation;
+pub mod external;
 pub mod next;
 pub mod pipeline;
 pub mod results;

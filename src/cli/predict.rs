@@ -1,6 +1,7 @@
 //! `plumbline predict`: computes the torques of a model along a recorded motion.
 
 use crate::analysis::checks;
+use crate::analysis::external::Seen;
 use crate::analysis::pipeline::{self, Predicted};
 use crate::cli::say::say;
 use crate::config::units::parse_mounting;
@@ -10,6 +11,7 @@ use crate::store::ModelFile;
 use clap::Args;
 use plumbline_core::BadInput;
 use plumbline_identify::check::{self, State};
+use plumbline_identify::external::{ObserverSettings, Way};
 use plumbline_identify::{Settings, TorqueUncertainty};
 use plumbline_model::{Mounting, Robot, TorqueModel};
 use plumbline_model_file::models;
@@ -41,6 +43,35 @@ pub struct Options {
     /// Velocities of the motion: measured (where it has dq columns) or derived from the positions
     #[arg(long, default_value = "measured")]
     velocities: String,
+    /// Add the external torque as a controller would have it, and contact: columns tau_ext1, tau_ext1_low, tau_ext1_high .. (95 % interval), contact (1
+    /// where a joint exceeds its threshold). The values are those of a low-pass, late by its delay, which is printed
+    #[arg(long)]
+    external: bool,
+    /// Half-power frequency of the low-pass of the external torque in Hz
+    #[arg(long, value_name = "HZ", default_value_t = 20.0, requires = "external")]
+    bandwidth: f64,
+    /// False alarms an hour that are accepted, over all joints
+    #[arg(long, value_name = "PER_HOUR", default_value_t = 0.1, requires = "external")]
+    false_alarms: f64,
+    /// How the external torque is found: generalised momentum, or accelerations from differences of the velocities
+    #[arg(long, value_enum, default_value_t = By::Momentum, requires = "external")]
+    by: By,
+}
+
+/// The ways of the observer by their names on the command line.
+#[derive(Clone, Copy, clap::ValueEnum)]
+enum By {
+    Momentum,
+    Acceleration,
+}
+
+impl From<By> for Way {
+    fn from(by: By) -> Way {
+        match by {
+            By::Momentum => Way::Momentum,
+            By::Acceleration => Way::Acceleration,
+        }
+    }
 }
 
 /// Writes the predicted torques and prints the error against measured torques, if there are any.
@@ -60,6 +91,10 @@ pub fn run(options: Options) -> Result<(), Failure> {
     let settings = Settings { measured_velocities, ..Settings::default() };
     let predicted = pipeline::predict(model, uncertainty.as_ref(), &run, &settings)?;
     let coverage = predicted.coverage(&run.data.tau);
+    let external = match options.external {
+        true => Some(external(&options, model, uncertainty.as_ref(), &run)?),
+        false => None,
+    };
     let Predicted { torques, at_end, rms, half_widths } = predicted;
     let mut text = String::from("t");
     for j in 1..=run.joints() {
@@ -68,6 +103,12 @@ pub fn run(options: Options) -> Result<(), Failure> {
     text.push_str(",at_end");
     for j in (1..=run.joints()).filter(|_| half_widths.is_some()) {
         write!(text, ",tau{j}_low,tau{j}_high").expect("a string takes everything");
+    }
+    if external.is_some() {
+        for j in 1..=run.joints() {
+            write!(text, ",tau_ext{j},tau_ext{j}_low,tau_ext{j}_high").expect("a string takes everything");
+        }
+        text.push_str(",contact");
     }
     text.push('\n');
     for (k, t) in run.data.t.iter().enumerate() {
@@ -81,6 +122,13 @@ pub fn run(options: Options) -> Result<(), Failure> {
                 write!(text, ",{},{}", torque - half, torque + half).expect("a string takes everything");
             }
         }
+        if let Some(external) = &external {
+            let found = external.at(*t);
+            for (tau, half) in found.tau.iter().zip(&found.half_width).take(run.joints()) {
+                write!(text, ",{tau},{},{}", tau - half, tau + half).expect("a string takes everything");
+            }
+            write!(text, ",{}", u8::from(found.contact)).expect("a string takes everything");
+        }
         text.push('\n');
     }
     crate::atomic::write_result(&options.out, text.as_bytes())?;
@@ -92,9 +140,41 @@ pub fn run(options: Options) -> Result<(), Failure> {
         let percent: Vec<String> = coverage.iter().map(|share| format!("{:.1}", 100.0 * share)).collect();
         say!("measured torques within the 95 % prediction interval [%]: {}", percent.join(" "));
     }
+    if let Some(external) = &external {
+        external.lines(robot.chain.len(), |q| robot.chain.jacobian(q)).iter().for_each(|line| say!("{line}"));
+    }
     let ends = at_end.iter().filter(|at_end| **at_end).count();
     say!("{}: {} samples, {ends} of them marked `at_end`", options.out.display(), run.samples());
     Ok(())
+}
+
+/// The external torque along the motion.
+fn external(
+    options: &Options,
+    model: &TorqueModel,
+    uncertainty: Option<&TorqueUncertainty>,
+    run: &Run,
+) -> Result<Seen, Failure> {
+    let name = || options.model.display().to_string();
+    if run.data.tau.ncols() == 0 {
+        let (file, expected) = (options.run.display().to_string(), "tau1..taun: the external torque is measured less modelled");
+        return Err(BadInput::new(file, "line 1", "no torques", expected).into());
+    }
+    let Some(uncertainty) = uncertainty else {
+        let expected = "a model file with [uncertainty], as `plumbline identify` and `run` write it";
+        return Err(BadInput::new(name(), "--external", "no uncertainty of these parameters", expected).into());
+    };
+    let measured = pipeline::measured_velocities(&options.velocities)?;
+    let settings = ObserverSettings {
+        way: options.by.into(),
+        bandwidth: options.bandwidth,
+        false_alarms: options.false_alarms,
+        ..ObserverSettings::default()
+    };
+    Seen::along(model, uncertainty, &run.data, measured, settings).map_err(|error| {
+        let expected = "a spectrum in the model file, a bandwidth below half the recording's rate, false alarms above 0";
+        BadInput::new(name(), "--external", error, expected).into()
+    })
 }
 
 /// The identified model with its uncertainty, or its physically consistent projection, whose uncertainty is unknown where the parameters moved.

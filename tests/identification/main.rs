@@ -9,6 +9,7 @@ mod estimate_direction;
 mod excite_optimiser;
 mod export_c;
 mod export_peers;
+mod external_torque;
 mod mounting_check;
 mod paper;
 mod plausibility;

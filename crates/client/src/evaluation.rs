@@ -14,7 +14,7 @@ use nalgebra::Vector3;
 use plumbline_core::{BadInput, JointVec, Torque};
 use plumbline_identify::TorqueUncertainty;
 use plumbline_identify::external::{External, ExternalObserver, ObserverSettings};
-use plumbline_model::term::{Sample, Term, friction};
+use plumbline_model::term::{Sample, friction};
 use plumbline_model::{
     BaseKind, ClosedForm, Evaluator, LoopRegressor, ModelError, Mounting, VERTICAL_TOLERANCE,
 };

@@ -97,7 +97,7 @@ fn intervals_cover_and_false_alarms_are_as_rare_as_stated() {
     let Torque(at_rest) = panda().evaluator(&Mounting::WALL.gravity()).torque(&Sample { ddq: JointVec::default(), ..sample });
     let mut rng = ChaCha8Rng::seed_from_u64(7);
     let (mut inside, mut counted, mut alarms, mut before) = (0, 0, 0, [false; 7]);
-    let seconds = 150;
+    let seconds = 60;
     for _ in 0..seconds * 1000 {
         let mut tau = at_rest;
         tau.iter_mut().take(7).for_each(|tau| *tau += 0.15 * rng.sample::<f64, _>(StandardNormal));
@@ -112,8 +112,8 @@ fn intervals_cover_and_false_alarms_are_as_rare_as_stated() {
     }
     let share = f64::from(inside) / f64::from(counted);
     assert!((0.94..0.96).contains(&share), "{share}");
-    // One a second is stated: 150, with a standard deviation of 12.
-    assert!((100..200).contains(&alarms), "{alarms}");
+    // One a second is stated: 60, with a standard deviation of 8.
+    assert!((35..85).contains(&alarms), "{alarms}");
 
     let mut tau = at_rest;
     tau[1] += 2.0 * observer.next(&sample.q, &sample.dq, &at_rest).threshold[1];
@@ -157,7 +157,7 @@ fn the_spectrum_of_a_recording_is_that_of_its_noise() {
     let uncertainty = TorqueUncertainty { residual_spectrum: Some(spectrum), ..uncertainty(0.15) };
     let seen = observe(&model, &uncertainty, &run, true, ObserverSettings::default()).unwrap();
     let contact: Vec<usize> = (0..rows).filter(|&k| seen.samples[k].contact).collect();
-    assert!((5003..5030).contains(&contact[0]) && (6000..6060).contains(contact.last().unwrap()), "{contact:?}");
+    assert!((5001..5030).contains(&contact[0]) && (6000..6060).contains(contact.last().unwrap()), "{} to {:?}", contact[0], contact.last());
 }
 
 #[test]
