@@ -4,11 +4,12 @@ use crate::cli::say::say;
 use crate::failure::Failure;
 use crate::report::Consistency;
 use crate::store::ModelFile;
+use crate::store::export::load::{self, Maker};
 use crate::store::export::{Arm, Exported, c, effects, mjcf, splice, tree, urdf};
 use clap::{Args, ValueEnum};
 use plumbline_core::BadInput;
 use plumbline_identify::consistency::{Nearest, Prior, Uncertainty, Weights, nearest};
-use plumbline_model::{Mounting, Robot, is_consistent};
+use plumbline_model::{Mounting, Robot, TorqueModel, is_consistent};
 use plumbline_model_file::models;
 use roxmltree::Document;
 use std::path::{Path, PathBuf};
@@ -18,7 +19,8 @@ use std::path::{Path, PathBuf};
 pub struct Options {
     /// Model file
     model: PathBuf,
-    /// Format: URDF, MuJoCo model, or a C function that depends on math.h only
+    /// Format: URDF, MuJoCo model, or a C function that depends on math.h only; or the body on the last link that `compare`, a diagnosis or `payload` found,
+    /// as a maker takes it: end effector of Franka Desk (JSON), libfranka's setLoad, UR's set_target_payload, KUKA's load data
     #[arg(long, value_enum)]
     format: Format,
     /// File to write
@@ -40,6 +42,23 @@ enum Format {
     Urdf,
     Mjcf,
     C,
+    FrankaDesk,
+    Libfranka,
+    Ur,
+    Kuka,
+}
+
+impl Format {
+    /// The maker whose format of a load it is.
+    fn maker(self) -> Option<Maker> {
+        match self {
+            Format::Urdf | Format::Mjcf | Format::C => None,
+            Format::FrankaDesk => Some(Maker::FrankaDesk),
+            Format::Libfranka => Some(Maker::Libfranka),
+            Format::Ur => Some(Maker::Ur),
+            Format::Kuka => Some(Maker::Kuka),
+        }
+    }
 }
 
 /// Exports a model; projects it to physically consistent bodies if the file has none.
@@ -48,6 +67,9 @@ pub fn run(options: Options) -> Result<(), Failure> {
     let (file, robot) = models::load(&options.model)?;
     let model = &file.model;
     check(&options)?;
+    if let Some(maker) = options.format.maker() {
+        return export_load(&options, model, maker);
+    }
     if let Err(refused) = model.valid_in(&Mounting::WALL)
         && !options.vertical
     {
@@ -87,6 +109,29 @@ pub fn run(options: Options) -> Result<(), Failure> {
     Ok(())
 }
 
+/// The body on the last link, which is valid in every mounting.
+fn export_load(options: &Options, model: &TorqueModel, maker: Maker) -> Result<(), Failure> {
+    let Some(found) = load::seen_from_flange(model.structure().chain(), &model.on_last_link()) else {
+        let expected =
+            "a model with a `payload` of positive mass, as `plumbline compare` and `plumbline payload` write it";
+        let found = format!("a body of {} kg", model.on_last_link()[9]);
+        return Err(BadInput::new(options.model.display().to_string(), "term `payload`", found, expected).into());
+    };
+    let (body, note) = load::possible(found);
+    let exported = load::write(maker, &body);
+    crate::atomic::write_result(&options.out, exported.text.as_bytes())?;
+    note.iter().chain(&exported.notes).for_each(|note| say!("note: {note}"));
+    say!(
+        "{}: {:.4} kg at [{:.4}, {:.4}, {:.4}] m in the flange frame",
+        options.out.display(),
+        body.mass,
+        body.com.x,
+        body.com.y,
+        body.com.z
+    );
+    Ok(())
+}
+
 fn check(options: &Options) -> Result<(), BadInput> {
     let refuse = |option: &str, format: &str, expected: &str| {
         Err(BadInput::new("command line", option, format!("--format {format}"), expected))
@@ -94,6 +139,8 @@ fn check(options: &Options) -> Result<(), BadInput> {
     match (options.format, &options.into, &options.prior) {
         (Format::C, Some(_), _) => refuse("--into", "c", "--format urdf"),
         (Format::Mjcf, Some(_), _) => refuse("--into", "mjcf", "--format urdf"),
+        (format, Some(_), _) if format.maker().is_some() => refuse("--into", "of a load", "--format urdf"),
+        (format, _, Some(_)) if format.maker().is_some() => refuse("--prior", "of a load", "--format urdf or mjcf"),
         (Format::C, _, Some(_)) => refuse(
             "--prior",
             "c",

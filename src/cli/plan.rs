@@ -6,7 +6,8 @@ use crate::failure::Failure;
 use crate::process::progress;
 use crate::process::signals::Ending;
 use crate::setup::planner::{Room, Task, motion, no_plan, nominal};
-use crate::store::save_plan;
+use crate::store::trajectory::{Trajectory, ros_names};
+use crate::store::{load_plan, save_plan};
 use clap::{Args, ValueEnum};
 use plumbline_core::{BadInput, threads};
 use plumbline_excite::{Criterion, Fourier, Margins, Plan, PlanUsage, Progress, Search, SearchControl};
@@ -18,14 +19,32 @@ use std::time::{Duration, Instant};
 #[derive(Args)]
 pub struct Options {
     /// Robot: a shipped name such as panda, or the path of a robot description
-    #[arg(long)]
+    #[arg(long, required_unless_present = "of", default_value = "", hide_default_value = true)]
     robot: String,
     /// Mounting: upright, wall, ceiling, or RHO,PHI with units such as "60 deg,0 deg"
     #[arg(long, default_value = "upright")]
     mounting: String,
     /// Plan file to write; several motions become plan-1.toml, plan-2.toml, .., plan-validate-1.toml, ..
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE", required_unless_present = "of", default_value = "", hide_default_value = true)]
     out: PathBuf,
+    /// Plan nothing: write the motion of this plan file with --csv or --ros
+    #[arg(long, value_name = "PLAN", conflicts_with_all = ["robot", "out"])]
+    of: Option<PathBuf>,
+    /// Write the motion as a table, too: t, q1..qn, dq1..dqn, ddq1..ddqn (s, rad)
+    #[arg(long, value_name = "FILE")]
+    csv: Option<PathBuf>,
+    /// Write the motion as trajectory_msgs/JointTrajectory in YAML, too
+    #[arg(long, value_name = "FILE")]
+    ros: Option<PathBuf>,
+    /// Samples a second of --csv and --ros in Hz; by default 1000 and 100
+    #[arg(long, value_name = "HZ")]
+    rate: Option<f64>,
+    /// Periods in --csv and --ros
+    #[arg(long, value_name = "K", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=10_000))]
+    periods: u32,
+    /// Names of the joints in --ros, base first; by default those of Universal Robots' driver, else panda_joint1, ..
+    #[arg(long, value_name = "NAME,..", value_delimiter = ',')]
+    joint_names: Option<Vec<String>>,
     /// Criterion to minimise
     #[arg(long, value_enum, default_value_t = Goal::Raw)]
     criterion: Goal,
@@ -88,11 +107,20 @@ impl From<Goal> for Criterion {
     }
 }
 
+/// Sampling of a table: that of a controller's loop \[Hz\].
+const CSV_RATE_HZ: f64 = 1000.0;
+/// Sampling for ROS \[Hz\]: its controllers interpolate.
+const ROS_RATE_HZ: f64 = 100.0;
 const UNLIMITED_ROUNDS: usize = 100_000;
 /// Offset of the seeds of validation motions from those of the search.
 const VALIDATION_SEED_OFFSET: u64 = 1_000_003;
 
 pub fn run(options: Options) -> Result<(), Failure> {
+    options.check_trajectory()?;
+    if let Some(of) = &options.of {
+        let plan = load_plan(of)?;
+        return options.write_trajectory(&plan, "", 1, 1);
+    }
     let robot = Robot::load(&options.robot, None)?;
     let mounting = parse_mounting("--mounting", &options.mounting)?;
     let search = options.search()?;
@@ -111,7 +139,8 @@ pub fn run(options: Options) -> Result<(), Failure> {
         let plan =
             options.search_one(&task, &Search { seed: search.seed + (k - 1), ..search.clone() }, &done, &ending)?;
         done.push(motion(&plan)?);
-        options.write(&plan, &options.name("", k, options.trajectories), &done, &task)?;
+        options.write(&plan, &options.name(&options.out, "", k, options.trajectories), &done, &task)?;
+        options.write_trajectory(&plan, "", k, options.trajectories)?;
         if ending.arrived() {
             // The remaining motions are not searched.
             return Ok(());
@@ -121,7 +150,8 @@ pub fn run(options: Options) -> Result<(), Failure> {
         let plan = task
             .random(&Search { seed: search.seed + VALIDATION_SEED_OFFSET + k, ..search.clone() })
             .map_err(|error| no_plan("command line", error))?;
-        options.write(&plan, &options.name("-validate", k, 100), &[], &task)?;
+        options.write(&plan, &options.name(&options.out, "-validate", k, 100), &[], &task)?;
+        options.write_trajectory(&plan, "-validate", k, 100)?;
     }
     Ok(())
 }
@@ -167,14 +197,57 @@ impl Options {
     }
 
     /// `plan.toml` for a motion alone, else `plan-2.toml` or `plan-validate-2.toml`.
-    fn name(&self, kind: &str, k: u64, of: u64) -> PathBuf {
+    fn name(&self, out: &Path, kind: &str, k: u64, of: u64) -> PathBuf {
         if of == 1 && kind.is_empty() {
-            return self.out.clone();
+            return out.to_path_buf();
         }
-        let stem = self.out.file_stem().map_or("plan".into(), |stem| stem.to_string_lossy().into_owned());
-        let extension =
-            self.out.extension().map_or("toml".into(), |extension| extension.to_string_lossy().into_owned());
-        self.out.with_file_name(format!("{stem}{kind}-{k}.{extension}"))
+        let stem = out.file_stem().map_or("plan".into(), |stem| stem.to_string_lossy().into_owned());
+        let extension = out.extension().map_or("toml".into(), |extension| extension.to_string_lossy().into_owned());
+        out.with_file_name(format!("{stem}{kind}-{k}.{extension}"))
+    }
+
+    /// Refuses options of a trajectory before the search.
+    fn check_trajectory(&self) -> Result<(), BadInput> {
+        let bad =
+            |option: &str, found: &str, expected: &str| Err(BadInput::new("command line", option, found, expected));
+        if self.csv.is_none() && self.ros.is_none() {
+            let without =
+                [(self.of.is_some(), "--of"), (self.rate.is_some(), "--rate"), (self.periods != 1, "--periods")];
+            if let Some((_, option)) = without.into_iter().find(|(given, _)| *given) {
+                return bad(option, "neither --csv nor --ros", "--csv FILE or --ros FILE");
+            }
+        }
+        if let Some(rate) = self.rate.filter(|rate| !(0.1..=1e5).contains(rate)) {
+            return bad("--rate", &rate.to_string(), "0.1 to 100000 Hz");
+        }
+        if self.ros.is_none() && self.joint_names.is_some() {
+            return bad("--joint-names", "no --ros", "--ros FILE");
+        }
+        Ok(())
+    }
+
+    /// Writes a motion sample by sample where that is asked for, under the names of [`Options::name`].
+    fn write_trajectory(&self, plan: &Plan, kind: &str, k: u64, of: u64) -> Result<(), Failure> {
+        let motion = motion(plan)?;
+        let trajectory =
+            |usual: f64| Trajectory { motion: &motion, rate: self.rate.unwrap_or(usual), periods: self.periods };
+        if let Some(csv) = &self.csv {
+            let path = self.name(csv, kind, k, of);
+            crate::atomic::write_result(&path, trajectory(CSV_RATE_HZ).csv().as_bytes())?;
+            say!("{}: {} s", path.display(), motion.period * f64::from(self.periods));
+        }
+        if let Some(ros) = &self.ros {
+            let n = motion.joints();
+            let names = self.joint_names.clone().unwrap_or_else(|| ros_names(&plan.robot, n));
+            if names.len() != n {
+                let (found, expected) = (format!("{} names", names.len()), format!("{n}, one per joint"));
+                return Err(BadInput::new("command line", "--joint-names", found, expected).into());
+            }
+            let path = self.name(ros, kind, k, of);
+            crate::atomic::write_result(&path, trajectory(ROS_RATE_HZ).ros(&names).as_bytes())?;
+            say!("{}: {} s, joints {}", path.display(), motion.period * f64::from(self.periods), names.join(" "));
+        }
+        Ok(())
     }
 
     fn write(&self, plan: &Plan, path: &Path, set: &[Fourier], task: &Task) -> Result<(), Failure> {

@@ -16,7 +16,7 @@ use plumbline_identify::{Settings, TorqueUncertainty};
 use plumbline_model::{Mounting, Robot, TorqueModel};
 use plumbline_model_file::models;
 use std::fmt::Write;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// Options of `plumbline predict`.
 #[derive(Args)]
@@ -78,7 +78,7 @@ impl From<By> for Way {
 pub fn run(options: Options) -> Result<(), Failure> {
     let (file, _) = models::load(&options.model)?;
     let (model, uncertainty) = &chosen(&options, &file)?;
-    let (run, robot) = motion(&options, model, file.provenance.robot_description.as_deref())?;
+    let (run, robot) = motion(&Source::of(&options), model, file.provenance.robot_description.as_deref())?;
     check_motion(&options, &run, &robot)?;
     if let Err(refused) = model.valid_in(&run.data.mounting)
         && !options.force
@@ -157,7 +157,8 @@ fn external(
 ) -> Result<Seen, Failure> {
     let name = || options.model.display().to_string();
     if run.data.tau.ncols() == 0 {
-        let (file, expected) = (options.run.display().to_string(), "tau1..taun: the external torque is measured less modelled");
+        let (file, expected) =
+            (options.run.display().to_string(), "tau1..taun: the external torque is measured less modelled");
         return Err(BadInput::new(file, "line 1", "no torques", expected).into());
     }
     let Some(uncertainty) = uncertainty else {
@@ -172,7 +173,8 @@ fn external(
         ..ObserverSettings::default()
     };
     Seen::along(model, uncertainty, &run.data, measured, settings).map_err(|error| {
-        let expected = "a spectrum in the model file, a bandwidth below half the recording's rate, false alarms above 0";
+        let expected =
+            "a spectrum in the model file, a bandwidth below half the recording's rate, false alarms above 0";
         BadInput::new(name(), "--external", error, expected).into()
     })
 }
@@ -194,40 +196,56 @@ fn chosen(options: &Options, file: &ModelFile) -> Result<(TorqueModel, Option<To
     Ok((projection, file.uncertainty.clone().filter(|_| nearest.exact)))
 }
 
+/// Where a motion comes from.
+pub(super) struct Source<'a> {
+    pub model: &'a Path,
+    pub run: &'a Path,
+    pub mounting: Option<&'a str>,
+    /// Whether a motion of another robot is taken.
+    pub force: bool,
+}
+
+impl<'a> Source<'a> {
+    fn of(options: &'a Options) -> Source<'a> {
+        let Options { model, run, mounting, force, .. } = options;
+        Source { model, run, mounting: mounting.as_deref(), force: *force }
+    }
+}
+
 /// The motion with its mounting: from `--mounting`, else from the dataset of the file, else from the model.
-fn motion(options: &Options, model: &TorqueModel, description: Option<&str>) -> Result<(Run, Robot), Failure> {
+pub(super) fn motion(source: &Source, model: &TorqueModel, description: Option<&str>) -> Result<(Run, Robot), Failure> {
     let robot = match description {
-        Some(text) => Robot::parse(&options.model.display().to_string(), text)?,
+        Some(text) => Robot::parse(&source.model.display().to_string(), text)?,
         None => Robot::load(model.robot(), None)?,
     };
-    let folder = options.run.parent().filter(|folder| folder.join("dataset.toml").is_file());
+    let folder = source.run.parent().filter(|folder| folder.join("dataset.toml").is_file());
     let of_dataset = match folder {
         Some(folder) => {
             let dataset = Dataset::read(folder)?;
             let declared = Robot::load(&dataset.robot, Some(folder))?;
-            if declared.chain != robot.chain && !options.force {
+            if declared.chain != robot.chain && !source.force {
                 let (file, found) = (folder.join("dataset.toml").display().to_string(), format!("`{}`", dataset.robot));
-                let expected = format!("`{}`, the robot of {}, or --force", robot.name, options.model.display());
+                let expected = format!("`{}`, the robot of {}, or --force", robot.name, source.model.display());
                 return Err(BadInput::new(file, "key `robot`", found, expected).into());
             }
             dataset
                 .runs
                 .into_iter()
-                .find(|run| options.run.file_name().is_some_and(|name| name == run.data.name.as_str()))
+                .find(|run| source.run.file_name().is_some_and(|name| name == run.data.name.as_str()))
         }
         None => None,
     };
     let mut run = match of_dataset {
         Some(run) => run,
-        None => Run::read_csv(&options.run, model.mountings().first().copied().unwrap_or(Mounting::UPRIGHT))?,
+        None => Run::read_csv(source.run, model.mountings().first().copied().unwrap_or(Mounting::UPRIGHT))?,
     };
-    if let Some(text) = &options.mounting {
+    if let Some(text) = source.mounting {
         run.data.mounting = parse_mounting("--mounting", text)?;
     }
     let n = model.structure().chain().len();
     if run.joints() != n {
         let expected = format!("q1..q{n}, the joints of robot `{}`", model.robot());
-        let file = options.run.display().to_string();
+        let file = source.run.display().to_string();
         return Err(BadInput::new(file, "line 1", format!("q1..q{}", run.joints()), expected).into());
     }
     Ok((run, robot))

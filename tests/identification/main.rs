@@ -8,6 +8,7 @@ mod diagnose_real_logs;
 mod estimate_direction;
 mod excite_optimiser;
 mod export_c;
+mod export_load;
 mod export_peers;
 mod external_torque;
 mod mounting_check;

@@ -77,7 +77,9 @@ pub enum Fault {
     #[error("the model file has no [uncertainty], or one without residual-spectrum")]
     NoUncertainty,
     /// A setting of the external torque is out of range.
-    #[error("a setting of the external torque is out of range: expected a bandwidth below half the rate, false alarms above 0")]
+    #[error(
+        "a setting of the external torque is out of range: expected a bandwidth below half the rate, false alarms above 0"
+    )]
     Setting,
     /// The queue to the sending thread is full: the sample is lost, and counted.
     #[error("the queue of samples is full: the sample is lost")]

@@ -15,9 +15,7 @@ use plumbline_core::{BadInput, JointVec, Torque};
 use plumbline_identify::TorqueUncertainty;
 use plumbline_identify::external::{External, ExternalObserver, ObserverSettings};
 use plumbline_model::term::{Sample, friction};
-use plumbline_model::{
-    BaseKind, ClosedForm, Evaluator, LoopRegressor, ModelError, Mounting, VERTICAL_TOLERANCE,
-};
+use plumbline_model::{BaseKind, ClosedForm, Evaluator, LoopRegressor, ModelError, Mounting, VERTICAL_TOLERANCE};
 use plumbline_model_file::ModelFile;
 
 /// The model of one file under one gravity.

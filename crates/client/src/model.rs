@@ -83,7 +83,13 @@ impl Model {
     }
 
     pub(crate) fn of(evaluation: Option<Evaluation>, inbox: Option<Inbox>, shared: Arc<Shared>) -> Model {
-        Model { evaluation: evaluation.map(Box::new), inbox, shared, observer: ObserverSettings::default(), background: None }
+        Model {
+            evaluation: evaluation.map(Box::new),
+            inbox,
+            shared,
+            observer: ObserverSettings::default(),
+            background: None,
+        }
     }
 
     /// What the thread that follows the daemon has last failed at; `None` while it succeeds. Locks: not for the control loop.

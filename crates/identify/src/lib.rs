@@ -9,6 +9,7 @@
 //! | estimators: OLS, WLS, Huber, TLS, IV | [`solve`] |
 //! | prediction intervals of torques | [`TorqueUncertainty`] |
 //! | external torque, contact | [`external`] |
+//! | the body on the last link, against a stored model | [`payload`] |
 //! | recursive least squares (not used by the program yet) | [`streaming`] |
 //! | nearest physically consistent parameters | [`consistency`] |
 //! | mounting and direction of gravity from torques | [`cross_check`], [`direction()`] |
@@ -56,6 +57,7 @@ mod experiment;
 pub mod external;
 mod faults;
 mod mounting_check;
+pub mod payload;
 mod periods;
 mod plausibility;
 mod prediction;

@@ -146,7 +146,9 @@ pub(super) fn write(line: &mut impl FnMut(std::fmt::Arguments), model: &TorqueMo
     line(format_args!("residual-freedom = {:?}", found.residual_freedom));
     if let Some(ResidualSpectrum { rate, power }) = &found.residual_spectrum {
         line(format_args!("residual-rate = {rate:?} # Hz"));
-        line(format_args!("residual-spectrum = [ # per joint, Nm^2: 0 to 0.25 Hz, then half octaves up to half the rate"));
+        line(format_args!(
+            "residual-spectrum = [ # per joint, Nm^2: 0 to 0.25 Hz, then half octaves up to half the rate"
+        ));
         power.iter().for_each(|power| line(format_args!("  {power:?},")));
         line(format_args!("]"));
     }
@@ -166,7 +168,8 @@ impl Raw {
     pub(super) fn check(&self, file: &str, names: &[&str], model: &TorqueModel) -> Result<TorqueUncertainty, BadInput> {
         let bad =
             |(key, found, expected): Wrong| BadInput::new(file, format!("[uncertainty], key `{key}`"), found, expected);
-        let missing = |key: &str, other: &str| bad((key.into(), "no value".into(), format!("a value, as `{other}` has one")));
+        let missing =
+            |key: &str, other: &str| bad((key.into(), "no value".into(), format!("a value, as `{other}` has one")));
         let p = names.len();
         if self.covariance.len() != p {
             let found = format!("{} rows", self.covariance.len());

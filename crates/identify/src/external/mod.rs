@@ -24,10 +24,10 @@ mod spectrum;
 pub use filter::{Memory, Residue};
 pub use spectrum::{Noise, ResidualSpectrum};
 
+use crate::differentiate::Differentiator;
 use crate::even::Even;
 use crate::prediction::TorqueUncertainty;
 use crate::signal::SignalError;
-use crate::differentiate::Differentiator;
 use crate::{Derivative, EstimateError, Run, Settings, Spread};
 use nalgebra::{DMatrix, Vector3};
 use plumbline_core::{JointVec, MAX_JOINTS, Torque};
@@ -358,11 +358,7 @@ fn row(of: &DMatrix<f64>, k: usize) -> JointVec {
 }
 
 /// Residuals of one run in the mean of two samples, part by part and joint by joint, and the step of its grid \[s\].
-fn residuals(
-    model: &TorqueModel,
-    run: &Run,
-    settings: &Settings,
-) -> Result<(f64, Vec<Vec<Vec<f64>>>), ObserverError> {
+fn residuals(model: &TorqueModel, run: &Run, settings: &Settings) -> Result<(f64, Vec<Vec<Vec<f64>>>), ObserverError> {
     let Signals { dt, q, dq, tau, lost: mut out } = Signals::of(run, true)?;
     settings.left_out(&run.name).for_each(|span| span.mark(&mut out, 0, dt));
     let n = run.joints();

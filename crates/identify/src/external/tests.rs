@@ -16,7 +16,11 @@ fn panda() -> TorqueModel {
     let delta: Vec<f64> = (0..7)
         .flat_map(|_| {
             let [x, y, z] = [(); 3].map(|()| rng.random_range(-0.05..0.05));
-            let body = plumbline_model::Body { mass: 1.5, com: [x, y, z].into(), inertia: nalgebra::Matrix3::identity() * 0.01 };
+            let body = plumbline_model::Body {
+                mass: 1.5,
+                com: [x, y, z].into(),
+                inertia: nalgebra::Matrix3::identity() * 0.01,
+            };
             body.link_parameters()
         })
         .collect();
@@ -94,7 +98,8 @@ fn intervals_cover_and_false_alarms_are_as_rare_as_stated() {
     let often = ObserverSettings { false_alarms: 3600.0, ..ObserverSettings::default() };
     let mut observer = observer(0.15, often);
     let sample = Sample { dq: JointVec::default(), ..motion(0.3) };
-    let Torque(at_rest) = panda().evaluator(&Mounting::WALL.gravity()).torque(&Sample { ddq: JointVec::default(), ..sample });
+    let Torque(at_rest) =
+        panda().evaluator(&Mounting::WALL.gravity()).torque(&Sample { ddq: JointVec::default(), ..sample });
     let mut rng = ChaCha8Rng::seed_from_u64(7);
     let (mut inside, mut counted, mut alarms, mut before) = (0, 0, 0, [false; 7]);
     let seconds = 60;
@@ -157,7 +162,12 @@ fn the_spectrum_of_a_recording_is_that_of_its_noise() {
     let uncertainty = TorqueUncertainty { residual_spectrum: Some(spectrum), ..uncertainty(0.15) };
     let seen = observe(&model, &uncertainty, &run, true, ObserverSettings::default()).unwrap();
     let contact: Vec<usize> = (0..rows).filter(|&k| seen.samples[k].contact).collect();
-    assert!((5001..5030).contains(&contact[0]) && (6000..6060).contains(contact.last().unwrap()), "{} to {:?}", contact[0], contact.last());
+    assert!(
+        (5001..5030).contains(&contact[0]) && (6000..6060).contains(contact.last().unwrap()),
+        "{} to {:?}",
+        contact[0],
+        contact.last()
+    );
 }
 
 #[test]

@@ -49,12 +49,21 @@ impl Bench {
         Bench { chain, truth, coloured, known: identify[0].clone(), unseen: validate[0].clone() }
     }
 
+    /// The arm with one more effect of its file.
+    pub fn with_effect(&self, text: &str) -> Truth {
+        let mut truth = crate::sim::arm_with("sim-panda", text);
+        truth.torque_noise_corner = self.truth.torque_noise_corner;
+        truth.joints.iter_mut().for_each(|joint| joint.torque_noise_coloured = self.coloured);
+        truth
+    }
+
     /// Some periods of the motion to identify from, or of the unseen one, once the arm has settled; noise is drawn by [`Response::measure`].
     pub fn response(&self, unseen: bool, periods: usize, mounting: Mounting) -> Response {
         let plan = if unseen { &self.unseen } else { &self.known };
         let reference = PeriodicMotion::new(&plan.fourier().expect("a plan"), 1).expect("a plan");
         let ticks = reference.period_ticks();
-        Response::simulate(&self.chain, &self.truth, mounting, &reference, ticks, periods).expect("truth fits the chain")
+        Response::simulate(&self.chain, &self.truth, mounting, &reference, ticks, periods)
+            .expect("truth fits the chain")
     }
 
     /// A recording as a dataset has it.
@@ -67,14 +76,23 @@ impl Bench {
         });
         let matrix = |i: usize| DMatrix::from_fn(rows.len(), n, |k, j| rows[k][i][j]);
         let period = response.period_ticks() as f64 * 1e-3;
-        Run { name: format!("run {seed}"), q: matrix(0), dq: Some(matrix(1)), tau: matrix(2), t, mounting, period: Some(period) }
+        Run {
+            name: format!("run {seed}"),
+            q: matrix(0),
+            dq: Some(matrix(1)),
+            tau: matrix(2),
+            t,
+            mounting,
+            period: Some(period),
+        }
     }
 
     /// The base parameters of a mounting, identified from one recording with the default settings.
     pub fn identify(&self, run: &Run) -> Found {
         let settings = Settings::default();
         let structure =
-            Structure::of(self.chain.clone(), Reduction::in_mounting(&self.chain, &run.mounting), &["friction"]).expect("known terms");
+            Structure::of(self.chain.clone(), Reduction::in_mounting(&self.chain, &run.mounting), &["friction"])
+                .expect("known terms");
         let experiment = Experiment::prepare(run, &settings).expect("a recording");
         let identification: Identification = identify(&structure, &[experiment]).expect("an exciting motion");
         let model =
@@ -94,12 +112,14 @@ impl Bench {
             let from = 1.0 + index as f64 * 0.9;
             let text = format!(
                 "\n[[effect]]\nid = \"contact\"\nforce = [{x:?}, {y:?}, {z:?}]\npoint = [{:?}, {:?}, {:?}]\nfrom = {from:?}\nto = {:?}\nedge = {EDGE_S}\n",
-                flange.x, flange.y, flange.z, from + PUSH_S
+                flange.x,
+                flange.y,
+                flange.z,
+                from + PUSH_S
             );
-            let mut truth = crate::sim::arm_with("sim-panda", &text);
-            truth.torque_noise_corner = 1.6;
-            truth.joints.iter_mut().for_each(|joint| joint.torque_noise_coloured = self.coloured);
-            let mut arm: SimArm = super::still(&self.chain, &truth, mounting, &self.unseen.q0, seed * 100 + index as u64);
+            let truth = self.with_effect(&text);
+            let mut arm: SimArm =
+                super::still(&self.chain, &truth, mounting, &self.unseen.q0, seed * 100 + index as u64);
             let (first, begin, end) = (from - BEFORE_S, from, from + PUSH_S);
             let mut states = Vec::new();
             for tick in 0..=(end * 1e3) as u64 {
@@ -129,6 +149,19 @@ fn direction(rng: &mut ChaCha8Rng) -> [f64; 3] {
 }
 
 impl Found {
+    /// As a model file.
+    #[cfg(feature = "program")]
+    pub fn file(&self) -> plumbline::store::ModelFile {
+        plumbline::store::ModelFile {
+            model: self.model.clone(),
+            noise_floor: Vec::new(),
+            validation: Vec::new(),
+            uncertainty: Some(self.uncertainty.clone()),
+            consistent: None,
+            provenance: plumbline::store::Provenance::default(),
+        }
+    }
+
     pub fn observer(&self, mounting: Mounting, settings: ObserverSettings) -> ExternalObserver {
         ExternalObserver::new(&self.model, &self.uncertainty, &mounting.gravity(), settings).expect("a spectrum")
     }
