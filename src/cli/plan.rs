@@ -19,14 +19,14 @@ use std::time::{Duration, Instant};
 #[derive(Args)]
 pub struct Options {
     /// Robot: a shipped name such as panda, or the path of a robot description
-    #[arg(long, required_unless_present = "of", default_value = "", hide_default_value = true)]
-    robot: String,
+    #[arg(long, required_unless_present = "of")]
+    robot: Option<String>,
     /// Mounting: upright, wall, ceiling, or RHO,PHI with units such as "60 deg,0 deg"
     #[arg(long, default_value = "upright")]
     mounting: String,
     /// Plan file to write; several motions become plan-1.toml, plan-2.toml, .., plan-validate-1.toml, ..
-    #[arg(long, value_name = "FILE", required_unless_present = "of", default_value = "", hide_default_value = true)]
-    out: PathBuf,
+    #[arg(long, value_name = "FILE", required_unless_present = "of")]
+    out: Option<PathBuf>,
     /// Plan nothing: write the motion of this plan file with --csv or --ros
     #[arg(long, value_name = "PLAN", conflicts_with_all = ["robot", "out"])]
     of: Option<PathBuf>,
@@ -121,7 +121,16 @@ pub fn run(options: Options) -> Result<(), Failure> {
         let plan = load_plan(of)?;
         return options.write_trajectory(&plan, "", 1, 1);
     }
-    let robot = Robot::load(&options.robot, None)?;
+    let (Some(robot), Some(out)) = (&options.robot, &options.out) else {
+        return Err(BadInput::new(
+            "command line",
+            "--robot",
+            "no robot or no --out",
+            "--robot R --out FILE, or --of PLAN",
+        )
+        .into());
+    };
+    let robot = Robot::load(robot, None)?;
     let mounting = parse_mounting("--mounting", &options.mounting)?;
     let search = options.search()?;
     let nominal = options.model.as_deref().map(|path| nominal(path, &robot)).transpose()?;
@@ -139,7 +148,7 @@ pub fn run(options: Options) -> Result<(), Failure> {
         let plan =
             options.search_one(&task, &Search { seed: search.seed + (k - 1), ..search.clone() }, &done, &ending)?;
         done.push(motion(&plan)?);
-        options.write(&plan, &options.name(&options.out, "", k, options.trajectories), &done, &task)?;
+        options.write(&plan, &options.name(out, "", k, options.trajectories), &done, &task)?;
         options.write_trajectory(&plan, "", k, options.trajectories)?;
         if ending.arrived() {
             // The remaining motions are not searched.
@@ -150,7 +159,7 @@ pub fn run(options: Options) -> Result<(), Failure> {
         let plan = task
             .random(&Search { seed: search.seed + VALIDATION_SEED_OFFSET + k, ..search.clone() })
             .map_err(|error| no_plan("command line", error))?;
-        options.write(&plan, &options.name(&options.out, "-validate", k, 100), &[], &task)?;
+        options.write(&plan, &options.name(out, "-validate", k, 100), &[], &task)?;
         options.write_trajectory(&plan, "-validate", k, 100)?;
     }
     Ok(())
