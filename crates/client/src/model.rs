@@ -263,7 +263,7 @@ impl Model {
     /// External torque: measured less modelled torque, with its 95 % interval and a flag for contact ([`External`]). Measured position \[rad\], velocity
     /// \[rad/s\] and torque \[Nm\], n values each. A force `f` on the arm at a point with Jacobian `J` gives `-J' f`.
     ///
-    /// Call it once per cycle. It has a memory of its own: the first 50 ms after the first call and after a new model are not `settled`, and its values are
+    /// Call it once per cycle. It has a memory of its own: the first 60 ms after the first call and after a new model are not `settled`, and its values are
     /// those of 11 ms before (at 20 Hz; [`Model::set_observer`]). Gravity is the model's own.
     ///
     /// # Errors

@@ -45,7 +45,7 @@ pub fn possible(found: Body) -> (Body, Option<String>) {
     }
     let inertia = axes * Matrix3::from_diagonal(&raised) * axes.transpose();
     let note = format!(
-        "no body has the inertia that was found: its principal moments {:?} stand as {:?} kg m2",
+        "no body has the inertia that was found: its principal moments {:?} kg m2 are replaced by {:?} kg m2",
         moments.as_slice(),
         raised.as_slice()
     );

@@ -190,7 +190,7 @@ fn the_external_torque_is_the_observers() {
         let found = own.external(&q, &dq, &tau).unwrap();
         let padded = |values: &[f64; 7]| std::array::from_fn(|j| values.get(j).copied().unwrap_or_default());
         assert_eq!(found, observer.next(&padded(&q), &padded(&dq), &padded(&tau)));
-        assert_eq!(found.settled, k >= 34, "{k}");
+        assert_eq!(found.settled, k >= 40, "{k}");
     }
     assert_eq!(own.external(&[0.0; 6], &[0.0; 7], &tau), Err(Fault::Length { expected: 7, found: 6 }));
     assert_eq!(own.external(&[f64::NAN; 7], &[0.0; 7], &tau), Err(Fault::NotFinite));

@@ -4,8 +4,8 @@ use crate::signal::SignalError;
 use crate::signal::butterworth::Butterworth;
 use std::f64::consts::{PI, SQRT_2};
 
-/// Half-power frequency, in which the settling time is one period.
-const SETTLING_PERIODS: f64 = 1.0;
+/// Settling time in periods of the half-power frequency: the impulse response is then below 2 % of its largest value.
+const SETTLING_PERIODS: f64 = 1.2;
 
 /// A Butterworth low-pass `F` of second order (bilinear, prewarped) for `y = F(u) - F(dp/dt)`: the derivative of `p` is never formed.
 ///
@@ -46,7 +46,7 @@ impl Residue {
         SQRT_2 * self.dt / (2.0 * (PI * self.cutoff * self.dt).tan())
     }
 
-    /// Samples after which the first one has decayed to 2 %.
+    /// Samples after which the response to the first one is below 2 % of its largest value.
     pub fn settling(&self) -> u64 {
         (SETTLING_PERIODS / (self.cutoff * self.dt)).ceil() as u64
     }

@@ -78,7 +78,7 @@ fn a_slow_external_torque_is_found_late_by_the_delay() {
             let Torque(mut tau) = evaluator.torque(&sample);
             tau.iter_mut().take(7).enumerate().for_each(|(j, tau)| *tau += external(t, j));
             let found = observer.next(&sample.q, &sample.dq, &tau);
-            assert_eq!(found.settled, k >= 50);
+            assert_eq!(found.settled, k >= 60);
             if k > 300 {
                 let late = t - observer.delay();
                 (0..7).for_each(|j| *worst = worst.max((found.tau[j] - external(late, j)).abs()));
