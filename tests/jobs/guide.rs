@@ -93,7 +93,7 @@ fn every_block_has_a_known_language() {
             match language.as_str() {
                 // The examples of `plumbline-client` include the page.
                 "rust,no_run" if name == "docs/guide/controller.md" => {}
-                "sh" | "toml" | "text" | "nft" | "ini" => {}
+                "sh" | "toml" | "text" | "nft" | "ini" | "cmake" | "python" => {}
                 "console" => assert!(content.starts_with("# "), "{name}: say why this is not run:\n{content}"),
                 other => panic!("{name}: a block is marked `{other}`"),
             }
