@@ -1,6 +1,7 @@
 //! The external torque along a recording: contacts, and thresholds for a vendor's collision detection.
 
-use nalgebra::{DMatrix, Matrix6};
+use nalgebra::{DMatrix, Matrix6, SymmetricEigen};
+use plumbline_core::symmetric_eigen;
 use plumbline_identify::TorqueUncertainty;
 use plumbline_identify::external::{External, Observed, ObserverError, ObserverSettings, observe};
 use plumbline_model::TorqueModel;
@@ -102,7 +103,7 @@ impl Seen {
             let j = DMatrix::from_fn(6, columns.len(), |i, c| columns[c][i]);
             let square = &j * j.transpose();
             let square = Matrix6::from_fn(|i, c| square[(i, c)]);
-            let eigenvalues = square.symmetric_eigenvalues();
+            let Some(SymmetricEigen { eigenvalues, .. }) = symmetric_eigen(square) else { continue };
             if eigenvalues.min() < MIN_RATIO * eigenvalues.max() {
                 continue;
             }

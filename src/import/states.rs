@@ -2,6 +2,7 @@
 
 use super::{Imported, Wanted};
 use crate::recording::cdr::{CdrError, Decoder};
+use crate::recording::foreign::{Message, for_each_message};
 use nalgebra::DMatrix;
 use plumbline_core::BadInput;
 use rusqlite::{Connection, OpenFlags};
@@ -52,23 +53,20 @@ type Topics = BTreeMap<String, Vec<State>>;
 
 /// Reads an MCAP file.
 pub(super) fn mcap(file: &str, bytes: &[u8], wanted: &Wanted) -> Result<Imported, BadInput> {
-    let broken = |error: mcap::McapError| BadInput::new(file, "file", error, "a complete MCAP file");
-    let mut topics = Topics::new();
-    let mut others: Vec<String> = Vec::new();
-    for (index, message) in mcap::MessageStream::new(bytes).map_err(broken)?.enumerate() {
-        let message = message.map_err(broken)?;
-        let schema = message.channel.schema.as_ref().map_or("", |schema| schema.name.as_str());
-        let topic = &message.channel.topic;
-        if schema != TYPE {
-            if !others.contains(topic) {
-                others.push(topic.clone());
-            }
-            continue;
+    let broken = |error: String| BadInput::new(file, "file", error, "a complete MCAP file");
+    let (mut topics, mut others) = (Topics::new(), Vec::new());
+    let mut count = 0;
+    for_each_message(bytes, broken, |Message { topic, schema, log_time, data }| {
+        count += 1;
+        if schema == TYPE {
+            let state = State::decode(log_time as i64, &data)
+                .map_err(|error| BadInput::new(file, format!("message {count}, topic {topic}"), error, TYPE))?;
+            topics.entry(topic).or_default().push(state);
+        } else if !others.contains(&topic) {
+            others.push(topic);
         }
-        let state = State::decode(message.log_time as i64, &message.data)
-            .map_err(|error| BadInput::new(file, format!("message {}, topic {topic}", index + 1), error, TYPE))?;
-        topics.entry(topic.clone()).or_default().push(state);
-    }
+        Ok(())
+    })?;
     understood(file, topics, &others, wanted)
 }
 
