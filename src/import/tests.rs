@@ -115,11 +115,11 @@ fn an_npz_archive_is_understood_in_both_orders_compressed_or_not() {
         let (_folder, path) = file("log.npz", &npz(&arrays, deflated));
         check(&read(&path, &wanted()).unwrap(), 1e-12);
     }
-    let told = refused("log.npz", &npz(&arrays[..2], false), &wanted());
-    assert!(told.contains("torques") && told.contains("`time`, `q`"), "{told}");
+    let message = refused("log.npz", &npz(&arrays[..2], false), &wanted());
+    assert!(message.contains("torques") && message.contains("`time`, `q`"), "{message}");
     let short = [("time", npy("40,", false, &time[..30]))];
-    let told = refused("log.npz", &npz(&short, false), &wanted());
-    assert!(told.contains("array `time`") && told.contains("as many as the shape says"), "{told}");
+    let message = refused("log.npz", &npz(&short, false), &wanted());
+    assert!(message.contains("array `time`") && message.contains("as many as the shape says"), "{message}");
     assert!(refused("log.npz", b"no archive", &wanted()).contains("zip archive"));
 }
 
@@ -173,12 +173,12 @@ fn joint_states_of_an_mcap_file_are_put_in_the_arms_order() {
         assert!(found.notes[2].contains("recorded 2.00 ms later"), "{}", found.notes[2]);
     }
     let bytes = mcap(None);
-    let told = refused("bag.mcap", &bytes[..bytes.len() / 2], &wanted());
-    assert!(told.contains("complete MCAP file"), "{told}");
-    let told = refused("bag.mcap", &bytes, &Wanted { topic: Some("/states".into()), ..wanted() });
-    assert!(told.contains("--topic") && told.contains("`/joint_states`"), "{told}");
-    let told = refused("bag.mcap", &bytes, &Wanted { joints: 6, ..wanted() });
-    assert!(told.contains("--joint-names") && told.contains("panda_joint2, panda_joint1"), "{told}");
+    let message = refused("bag.mcap", &bytes[..bytes.len() / 2], &wanted());
+    assert!(message.contains("complete MCAP file"), "{message}");
+    let message = refused("bag.mcap", &bytes, &Wanted { topic: Some("/states".into()), ..wanted() });
+    assert!(message.contains("--topic") && message.contains("`/joint_states`"), "{message}");
+    let message = refused("bag.mcap", &bytes, &Wanted { joints: 6, ..wanted() });
+    assert!(message.contains("--joint-names") && message.contains("panda_joint2, panda_joint1"), "{message}");
     let named = Wanted { names: Some(vec!["panda_joint2".into(), "elbow".into()]), ..wanted() };
     assert!(refused("bag.mcap", &bytes, &named).contains("joint `elbow`"));
 }
@@ -216,11 +216,12 @@ fn joint_states_of_a_rosbag2_database_are_read_with_and_without_stamps() {
 
 #[test]
 fn garbage_in_a_table_is_refused_by_line_and_name() {
-    let told = refused("log.csv", csv(|t| if t > 0.1 { "later".into() } else { format!("{t}") }).as_bytes(), &wanted());
-    assert!(told.contains("line 15, column `timestamp`: got `later`"), "{told}");
-    let told = refused("log.csv", csv(|t| format!("{}", -t)).as_bytes(), &wanted());
-    assert!(told.contains("does not run backwards"), "{told}");
-    let told = refused("log.csv", csv(|t| format!("{t}")).as_bytes(), &Wanted { joints: 3, ..wanted() });
-    assert!(told.contains("`actual_q_0`, `actual_q_1`") && told.contains("3 columns of positions"), "{told}");
+    let message =
+        refused("log.csv", csv(|t| if t > 0.1 { "later".into() } else { format!("{t}") }).as_bytes(), &wanted());
+    assert!(message.contains("line 15, column `timestamp`: got `later`"), "{message}");
+    let message = refused("log.csv", csv(|t| format!("{}", -t)).as_bytes(), &wanted());
+    assert!(message.contains("does not run backwards"), "{message}");
+    let message = refused("log.csv", csv(|t| format!("{t}")).as_bytes(), &Wanted { joints: 3, ..wanted() });
+    assert!(message.contains("`actual_q_0`, `actual_q_1`") && message.contains("3 columns of positions"), "{message}");
     assert!(refused("log.csv", b"a,b\n1,2\n", &wanted()).contains("the file has `a`, `b`"));
 }

@@ -37,7 +37,7 @@ impl Residue {
         if !(dt > 0.0 && dt.is_finite()) {
             return Err(SignalError::Step { dt });
         }
-        let [b0, a1, a2] = Butterworth::new(2, cutoff, 1.0 / dt)?.coefficients().next().unwrap_or_default();
+        let [b0, a1, a2] = Butterworth::second_order(cutoff, 1.0 / dt)?;
         Ok(Residue { b0, d: 2.0 * b0 / dt, a1, a2, cutoff, dt })
     }
 
