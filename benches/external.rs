@@ -24,6 +24,9 @@ const ROUNDS: u64 = 5;
 /// Thresholds of libfranka's examples, `setDefaultBehavior` \[Nm\].
 const LIBFRANKA: [f64; 7] = [20.0, 20.0, 18.0, 18.0, 16.0, 14.0, 12.0];
 
+/// Whether a detector flags contact at a state.
+type Flag = Box<dyn FnMut(&[JointVec; 3]) -> bool>;
+
 fn main() {
     let parts: Vec<String> = std::env::args().skip(1).filter(|part| !part.starts_with("--")).collect();
     let runs = std::env::var("RUNS").ok().and_then(|runs| runs.parse().ok()).unwrap_or(200);
@@ -79,7 +82,7 @@ fn coverage(runs: u64) {
 }
 
 /// A detector: its name, and whether each state is flagged.
-type Detector<'a> = (String, Box<dyn Fn() -> Box<dyn FnMut(&[JointVec; 3]) -> bool> + 'a>);
+type Detector<'a> = (String, Box<dyn Fn() -> Flag + 'a>);
 
 fn detection(coloured: f64, alarms: bool, pushes: bool) {
     let bench = Bench::new(coloured);
@@ -113,8 +116,7 @@ fn detection(coloured: f64, alarms: bool, pushes: bool) {
             let (own, settings) = (&own, ObserverSettings { bandwidth, ..settings });
             let make = move || {
                 let mut observer = own.observer(Mounting::WALL, settings);
-                let flag: Box<dyn FnMut(&[JointVec; 3]) -> bool> =
-                    Box::new(move |[q, dq, tau]| observer.next(q, dq, tau).contact);
+                let flag: Flag = Box::new(move |[q, dq, tau]| observer.next(q, dq, tau).contact);
                 flag
             };
             detectors.push((format!("{name}, {bandwidth} Hz"), Box::new(make)));
@@ -128,7 +130,7 @@ fn detection(coloured: f64, alarms: bool, pushes: bool) {
     for (name, of, thresholds) in vendors {
         let make = move || {
             let mut observer = of.observer(Mounting::WALL, ObserverSettings::default());
-            let flag: Box<dyn FnMut(&[JointVec; 3]) -> bool> = Box::new(move |[q, dq, tau]| {
+            let flag: Flag = Box::new(move |[q, dq, tau]| {
                 let external = observer.next(q, dq, tau);
                 external.settled && (0..7).any(|j| external.tau[j].abs() > thresholds[j])
             });

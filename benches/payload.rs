@@ -3,7 +3,7 @@
 //! `RUNS` (50) seeds, each with a model that was identified from noise of its own, and 20 s with the body. One plan, found by `plumbline payload --plan`.
 //! Errors of mass and centre of mass, and how often the 95 % intervals hold the truth. The figures are in docs/results/external-torque.md.
 
-use plumbline_core::{Reference, parallel, threads};
+use plumbline_core::{parallel, threads};
 use plumbline_excite::PeriodicMotion;
 use plumbline_identify::payload::find;
 use plumbline_identify::{Experiment, Settings};

@@ -103,7 +103,7 @@ impl Imported {
         }
         let start = self.t[0];
         self.t.iter_mut().for_each(|t| *t -= start);
-        if let Some(k) = (1..samples).find(|&k| !(self.t[k] >= self.t[k - 1])) {
+        if let Some(k) = (1..samples).find(|&k| self.t[k].is_nan() || self.t[k] < self.t[k - 1]) {
             let found = format!("{} s after {} s", self.t[k], self.t[k - 1]);
             return Err(BadInput::new(
                 file,

@@ -10,8 +10,11 @@ fn wanted() -> Wanted {
     Wanted { joints: N, ..Wanted::default() }
 }
 
+/// Time, position, velocity and torque of one sample.
+type Row = (f64, [f64; N], [f64; N], [f64; N]);
+
 /// Time \[s\], position, velocity, effort of 40 samples, one of which is missing.
-fn samples() -> Vec<(f64, [f64; N], [f64; N], [f64; N])> {
+fn samples() -> Vec<Row> {
     let one = |k: usize| {
         let t = k as f64 * 0.008;
         (t, [t.sin(), -t], [t.cos(), -1.0], [3.0 + t, 0.5 * t])
@@ -102,7 +105,7 @@ fn npz(arrays: &[(&str, Vec<u8>)], deflated: bool) -> Vec<u8> {
 fn an_npz_archive_is_understood_in_both_orders_compressed_or_not() {
     let all = samples();
     let time: Vec<f64> = all.iter().map(|(t, ..)| *t).collect();
-    let rows = |of: fn(&(f64, [f64; N], [f64; N], [f64; N])) -> [f64; N]| all.iter().flat_map(of).collect::<Vec<f64>>();
+    let rows = |of: fn(&Row) -> [f64; N]| all.iter().flat_map(of).collect::<Vec<f64>>();
     let columns: Vec<f64> = (0..N).flat_map(|j| all.iter().map(move |(_, _, dq, _)| dq[j])).collect();
     let arrays = [
         ("time", npy("40,", false, &time)),
@@ -124,7 +127,7 @@ fn an_npz_archive_is_understood_in_both_orders_compressed_or_not() {
 }
 
 /// Joint states in another order than the arm's, a finger among them.
-fn message((t, q, dq, tau): (f64, [f64; N], [f64; N], [f64; N]), stamped: bool) -> Vec<u8> {
+fn message((t, q, dq, tau): Row, stamped: bool) -> Vec<u8> {
     let nanoseconds = 5_000_000_000 + (t * 1e9).round() as u64;
     let mut cdr = Encoder::default();
     let (sec, nanosec) = if stamped { (nanoseconds / 1_000_000_000, nanoseconds % 1_000_000_000) } else { (0, 0) };

@@ -132,7 +132,7 @@ pub fn find(
             weighed.rows_mut(j * m, m).scale_mut(1.0 / sigma);
         }
         let ratio = ratio(weighed.columns(free, LINK_COLUMNS).into_owned());
-        if iteration == 0 && !(ratio > MIN_DETERMINED_RATIO) {
+        if iteration == 0 && (ratio.is_nan() || ratio <= MIN_DETERMINED_RATIO) {
             return Err(PayloadError::Undetermined { ratio });
         }
         // Columns of one size: moments of inertia are small numbers.

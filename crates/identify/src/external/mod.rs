@@ -247,8 +247,8 @@ impl ExternalObserver {
         self.seen += 1;
         found.settled = self.seen > self.filter.settling();
         let variance = self.parameters.variance(self.regressor.at(&late));
-        for j in 0..self.joints.min(MAX_JOINTS) {
-            let std = (variance[j] + self.noise[j].std.powi(2)).sqrt();
+        for (j, variance) in variance.iter().enumerate().take(self.joints) {
+            let std = (variance + self.noise[j].std.powi(2)).sqrt();
             found.half_width[j] = NORMAL_975 * std;
             found.threshold[j] = self.levels[j] * std;
             found.contact |= found.settled && found.tau[j].abs() > found.threshold[j];
@@ -357,8 +357,11 @@ fn row(of: &DMatrix<f64>, k: usize) -> JointVec {
     row
 }
 
+/// An uninterrupted part of a recording: the residuals of each joint.
+type Part = Vec<Vec<f64>>;
+
 /// Residuals of one run in the mean of two samples, part by part and joint by joint, and the step of its grid \[s\].
-fn residuals(model: &TorqueModel, run: &Run, settings: &Settings) -> Result<(f64, Vec<Vec<Vec<f64>>>), ObserverError> {
+fn residuals(model: &TorqueModel, run: &Run, settings: &Settings) -> Result<(f64, Vec<Part>), ObserverError> {
     let Signals { dt, q, dq, tau, lost: mut out } = Signals::of(run, true)?;
     settings.left_out(&run.name).for_each(|span| span.mark(&mut out, 0, dt));
     let n = run.joints();
@@ -367,7 +370,7 @@ fn residuals(model: &TorqueModel, run: &Run, settings: &Settings) -> Result<(f64
     let usual = ObserverSettings { bandwidth: MAX_RATE_RATIO / dt, dt, ..ObserverSettings::default() };
     let parameters = Spread::zero(model.structure().columns().len());
     let mut observer = ExternalObserver::with_noise(model, &parameters, &none, &run.mounting.gravity(), usual)?;
-    let mut parts: Vec<Vec<Vec<f64>>> = Vec::new();
+    let mut parts: Vec<Part> = Vec::new();
     let mut last: Option<[JointVec; 2]> = None;
     for (k, out) in out.iter().enumerate().take((MAX_RECORDING_S / dt) as usize) {
         let [u, p] = observer.momentum(&row(&q, k), &row(&dq, k), &row(&tau, k));

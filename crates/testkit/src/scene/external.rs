@@ -169,7 +169,7 @@ impl Found {
 
 /// Milliseconds from the begin of a push to the flag, by `flagged` of each state in turn; `None` where it is not found while it lasts, or where something is
 /// flagged before it.
-pub fn found_after(states: &States, pushed: usize, mut flagged: impl FnMut(&[JointVec; 3]) -> bool) -> Option<usize> {
-    let first = states.iter().position(|state| flagged(state))?;
+pub fn found_after(states: &States, pushed: usize, flagged: impl FnMut(&[JointVec; 3]) -> bool) -> Option<usize> {
+    let first = states.iter().position(flagged)?;
     first.checked_sub(pushed)
 }
