@@ -47,6 +47,7 @@ pub mod dataset;
 mod date;
 mod estimator;
 mod failure;
+pub mod import;
 pub mod inclinometer;
 pub mod machine;
 pub mod offline;

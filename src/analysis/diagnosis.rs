@@ -62,7 +62,7 @@ pub fn run(question: &Question) -> Result<Diagnosed, Failure> {
     let outcome = diagnose(&input, &settings, &watch).map_err(Failure::job)?;
     bar.busy("comparing runs");
     let (structure, identification) = (outcome.after.structure, outcome.after.identification);
-    let after = pipeline::identified(question.robot, question.identify, structure, identification)?;
+    let after = pipeline::identified(question.robot, question.identify, structure, identification, question.settings)?;
     let mut block = outcome.diagnosis;
     block.band = question.of.band(question.settings.torque_cutoff);
     block.notes.extend(notes);

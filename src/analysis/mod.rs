@@ -5,6 +5,7 @@ pub mod collector;
 pub mod diagnosis;
 pub mod drawn;
 pub mod excitation;
+pub mod external;
 pub mod next;
 pub mod pipeline;
 pub mod results;

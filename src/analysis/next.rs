@@ -37,7 +37,7 @@ pub fn next(
     let bar = progress::bar("planning");
     let report = |now: Progress| bar.at(now.done as f64 / now.of as f64, "what would tell more");
     let control = SearchControl { threads: threads(), stop, progress: &report };
-    let plan = best_by_score(problem, search, &score, &control)?;
+    let plan = best_by_score(problem, search, 0..problem.bounds.chain.len(), &score, &control)?;
     bar.done();
     let expected: Vec<Answer> = answers(&plan.fourier()?).unwrap_or_default();
     let worth = expected.iter().any(|answer| answer.share > MIN_SHARE);

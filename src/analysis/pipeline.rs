@@ -7,6 +7,7 @@ use crate::report::figures::TorqueFigure;
 use nalgebra::DMatrix;
 use plumbline_core::{BadInput, parallel, threads};
 use plumbline_identify::consistency::{Nearest, Prior, Uncertainty, nearest};
+use plumbline_identify::external::{ResidualSpectrum, residual_spectrum};
 use plumbline_identify::{EstimateError, Experiment, Modelled, Rms, Settings, TorqueUncertainty, compare, solve};
 
 use plumbline_identify::solve::{Identification, identify_with};
@@ -16,6 +17,8 @@ use plumbline_model::{Reduction, Robot, Structure, TorqueModel, TorqueSensing};
 pub struct Identified {
     pub model: TorqueModel,
     pub identification: Identification,
+    /// What the model leaves over along the runs; `None` where unknown.
+    pub residual_spectrum: Option<ResidualSpectrum>,
 }
 
 pub struct Judged {
@@ -137,7 +140,7 @@ pub fn identify(
         }
         other => Failure::job(other),
     })?;
-    identified(robot, runs, structure, identification)
+    identified(robot, runs, structure, identification, settings)
 }
 
 /// The model of an identification from runs of one arm.
@@ -146,6 +149,7 @@ pub fn identified(
     runs: &[&Run],
     structure: Structure,
     identification: Identification,
+    settings: &Settings,
 ) -> Result<Identified, Failure> {
     let mut mountings = Vec::new();
     for run in runs {
@@ -154,7 +158,9 @@ pub fn identified(
         }
     }
     let model = TorqueModel::new(&robot.name, structure, mountings, &identification.values()).map_err(Failure::job)?;
-    Ok(Identified { model, identification })
+    let data: Vec<&plumbline_identify::Run> = runs.iter().map(|run| &run.data).collect();
+    let residual_spectrum = residual_spectrum(&model, &data, settings);
+    Ok(Identified { model, identification, residual_spectrum })
 }
 
 /// What is left out at the start of a periodic run.

@@ -358,7 +358,11 @@ impl Results {
             model: identified.model.clone(),
             noise_floor: identified.identification.rms.noise_floor.clone().unwrap_or_default(),
             validation,
-            uncertainty: uncertainty_of(&identified.identification, &identified.model),
+            uncertainty: uncertainty_of(
+                &identified.identification,
+                &identified.model,
+                identified.residual_spectrum.clone(),
+            ),
             consistent: pipeline::real_bodies(identified),
             provenance: crate::analysis::provenance(&self.robot, hash),
         }

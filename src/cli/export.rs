@@ -1,15 +1,16 @@
-//! `plumbline export`: the identified arm as URDF, MJCF or C.
+//! `plumbline export`: the identified arm as URDF, MJCF or C, or its load in a maker's format.
 
 use crate::cli::say::say;
 use crate::failure::Failure;
 use crate::report::Consistency;
 use crate::store::ModelFile;
+use crate::store::export::load::{self, Maker};
 use crate::store::export::{Arm, Exported, c, effects, mjcf, splice, tree, urdf};
 use crate::urdf::{parse, read};
 use clap::{Args, ValueEnum};
 use plumbline_core::BadInput;
 use plumbline_identify::consistency::{Nearest, Prior, Uncertainty, Weights, nearest};
-use plumbline_model::{Mounting, Robot, is_consistent};
+use plumbline_model::{Mounting, Robot, TorqueModel, is_consistent};
 use plumbline_model_file::models;
 use std::path::{Path, PathBuf};
 
@@ -18,7 +19,8 @@ use std::path::{Path, PathBuf};
 pub struct Options {
     /// Model file, or the folder of a job's results
     model: PathBuf,
-    /// Format: URDF, MuJoCo model, or a C function that depends on math.h only; all three where absent
+    /// Format: URDF, MuJoCo model, or a C function that depends on math.h only; all three where absent. Or the body on the last link that `compare`, a
+    /// diagnosis or `payload` found, as a maker takes it: end effector of Franka Desk (JSON), libfranka's setLoad, UR's set_target_payload, KUKA's load data
     #[arg(long, value_enum)]
     format: Option<Format>,
     /// File to write; without --format the folder for ROBOT.urdf, ROBOT.xml and ROBOT.c
@@ -40,7 +42,14 @@ enum Format {
     Urdf,
     Mjcf,
     C,
+    FrankaDesk,
+    Libfranka,
+    Ur,
+    Kuka,
 }
+
+/// The formats of the whole arm: those that are written without `--format`.
+const OF_ARM: [Format; 3] = [Format::Urdf, Format::Mjcf, Format::C];
 
 /// Exports a model; projects it to physically consistent bodies if the file has none.
 pub fn run(options: Options) -> Result<(), Failure> {
@@ -52,6 +61,9 @@ pub fn run(options: Options) -> Result<(), Failure> {
     let (file, robot) = models::load(&path)?;
     let model = &file.model;
     check(&options)?;
+    if let Some(maker) = options.format.and_then(Format::maker) {
+        return export_load(&options.out, &name, model, maker);
+    }
     if let Err(refused) = model.valid_in(&Mounting::WALL)
         && !options.vertical
     {
@@ -70,10 +82,7 @@ pub fn run(options: Options) -> Result<(), Failure> {
             )
             .into());
         }
-        None => Format::value_variants()
-            .iter()
-            .map(|format| (*format, options.out.join(format.file(model.robot()))))
-            .collect(),
+        None => OF_ARM.iter().map(|format| (*format, options.out.join(format.file(model.robot())))).collect(),
     };
 
     let mut exported: Vec<(Format, PathBuf, Exported)> = Vec::new();
@@ -130,9 +139,39 @@ impl Format {
             Format::Urdf => "urdf",
             Format::Mjcf => "xml",
             Format::C => "c",
+            Format::FrankaDesk => "json",
+            Format::Libfranka | Format::Ur | Format::Kuka => "txt",
         };
         format!("{robot}.{extension}")
     }
+
+    /// The maker whose format of a load it is.
+    fn maker(self) -> Option<Maker> {
+        match self {
+            Format::Urdf | Format::Mjcf | Format::C => None,
+            Format::FrankaDesk => Some(Maker::FrankaDesk),
+            Format::Libfranka => Some(Maker::Libfranka),
+            Format::Ur => Some(Maker::Ur),
+            Format::Kuka => Some(Maker::Kuka),
+        }
+    }
+}
+
+/// Writes the body on the last link, which is valid in every mounting.
+fn export_load(out: &Path, name: &str, model: &TorqueModel, maker: Maker) -> Result<(), Failure> {
+    let Some(found) = load::seen_from_flange(model.structure().chain(), &model.on_last_link()) else {
+        let expected =
+            "a model with a `payload` of positive mass, as `plumbline compare` and `plumbline payload` write it";
+        let found = format!("a body of {} kg", model.on_last_link()[9]);
+        return Err(BadInput::new(name, "term `payload`", found, expected).into());
+    };
+    let (body, note) = load::possible(found);
+    let exported = load::write(maker, &body);
+    crate::atomic::write_result(out, exported.text.as_bytes())?;
+    note.iter().chain(&exported.notes).for_each(|note| say!("note: {note}"));
+    let [x, y, z] = body.com.into();
+    say!("{}: {:.4} kg at [{x:.4}, {y:.4}, {z:.4}] m in the flange frame", out.display(), body.mass);
+    Ok(())
 }
 
 fn check(options: &Options) -> Result<(), BadInput> {
@@ -142,6 +181,10 @@ fn check(options: &Options) -> Result<(), BadInput> {
     match (options.format, &options.into, &options.prior) {
         (Some(Format::C), Some(_), _) => refuse("--into", "c", "--format urdf"),
         (Some(Format::Mjcf), Some(_), _) => refuse("--into", "mjcf", "--format urdf"),
+        (Some(format), Some(_), _) if format.maker().is_some() => refuse("--into", "of a load", "--format urdf"),
+        (Some(format), _, Some(_)) if format.maker().is_some() => {
+            refuse("--prior", "of a load", "--format urdf or mjcf")
+        }
         (Some(Format::C), _, Some(_)) => refuse(
             "--prior",
             "c",

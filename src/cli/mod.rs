@@ -8,11 +8,13 @@ mod doctor;
 mod effects;
 mod export;
 mod identify;
+mod import;
 mod inclinometer;
 mod manual;
 mod monitor;
 mod next;
 mod output;
+mod payload;
 mod plan;
 mod postmortem;
 mod predict;
@@ -77,6 +79,8 @@ subcommands! {
     Daemon => daemon,
     /// Run the estimator process (what the systemd service starts)
     Estimator => estimator,
+    /// Make a dataset of recordings: CSV, npz, ROS 2 bags
+    Import => import,
     /// Check recorded data: units, signs, columns, times, mounting, robot
     Check => check,
     /// Identify from files, offline
@@ -91,7 +95,9 @@ subcommands! {
     Report => report,
     /// Compute the torques of a model along a recorded motion
     Predict => predict,
-    /// Write the identified arm as URDF, MuJoCo model or C function
+    /// Find the body on the flange from a short motion of the wrist, or plan that motion
+    Payload => payload,
+    /// Write the identified arm as URDF, MuJoCo model or C function, or its load in a maker's format
     Export => export,
     /// Check whether this machine is fit for 1 kHz, and list what to change
     Doctor => doctor,

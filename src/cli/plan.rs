@@ -6,10 +6,12 @@ use crate::failure::Failure;
 use crate::offline::plan::{self, Planned, Purpose, plan};
 use crate::process::signals::Ending;
 use crate::report::robot::unchecked;
-use crate::store::save_plan;
+use crate::setup::planner::motion;
+use crate::store::trajectory::{Trajectory, ros_names};
+use crate::store::{load_plan, save_plan};
 use clap::Args;
-use plumbline_excite::PlanUsage;
-use plumbline_model::Robot;
+use plumbline_core::BadInput;
+use plumbline_excite::{Fourier, Plan, PlanUsage};
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 
@@ -19,16 +21,61 @@ pub struct Options {
     #[command(flatten)]
     plan: plan::Options,
     /// Plan file to write; several motions become plan-1.toml, plan-2.toml, .., plan-validate-1.toml, ..
-    #[arg(long, value_name = "FILE")]
-    out: PathBuf,
+    #[arg(long, value_name = "FILE", required_unless_present = "of")]
+    out: Option<PathBuf>,
+    /// Plan nothing: write the motion of this plan file with --csv or --ros
+    #[arg(long, value_name = "PLAN", conflicts_with_all = ["robot", "out"])]
+    of: Option<PathBuf>,
+    #[command(flatten)]
+    trajectory: TrajectoryOptions,
     /// Print condition numbers and use of the limits as JSON, one entry per plan file
     #[arg(long)]
     json: bool,
 }
 
+/// Files of a motion sample by sample, for arms that plumbline does not drive.
+#[derive(Args)]
+struct TrajectoryOptions {
+    /// Write the motion as a table, too: t, q1..qn, dq1..dqn, ddq1..ddqn (s, rad)
+    #[arg(long, value_name = "FILE")]
+    csv: Option<PathBuf>,
+    /// Write the motion as trajectory_msgs/JointTrajectory in YAML, too
+    #[arg(long, value_name = "FILE")]
+    ros: Option<PathBuf>,
+    /// Samples a second of --csv and --ros in Hz; by default 1000 and 100
+    #[arg(long, value_name = "HZ")]
+    rate: Option<f64>,
+    /// Periods in --csv and --ros
+    #[arg(long, value_name = "K", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=10_000))]
+    periods: u32,
+    /// Names of the joints in --ros, base first; by default those of Universal Robots' driver, else panda_joint1, ..
+    #[arg(long, value_name = "NAME,..", value_delimiter = ',')]
+    joint_names: Option<Vec<String>>,
+}
+
+/// Sampling of a table: that of a controller's loop \[Hz\].
+const CSV_RATE_HZ: f64 = 1000.0;
+/// Sampling for ROS \[Hz\]: its controllers interpolate.
+const ROS_RATE_HZ: f64 = 100.0;
+
 /// Writes each motion when it is found. Ctrl-C ends the search with the best motion so far.
 pub fn run(options: Options) -> Result<(), Failure> {
-    let robot = Robot::load(&options.plan.robot, None)?;
+    options.trajectory.check(options.of.is_some())?;
+    let Some(out) = &options.out else {
+        let Some(of) = &options.of else {
+            return Err(BadInput::new("command line", "--out", "no file", "--out FILE, or --of PLAN").into());
+        };
+        let written = options.trajectory.write(&load_plan(of)?, ALONE)?;
+        if options.json {
+            let files: Vec<Value> = written.iter().map(Sampled::facts).collect();
+            say!("{}", serde_json::to_string_pretty(&files).map_err(Failure::job)?);
+        } else {
+            written.iter().for_each(|sampled| say!("{}", sampled.line()));
+        }
+        return Ok(());
+    };
+    let robot = options.plan.robot()?;
+    options.trajectory.check_names(robot.chain.len())?;
     if !options.json {
         unchecked(&robot).iter().for_each(|line| say!("note: {line}"));
     }
@@ -38,12 +85,14 @@ pub fn run(options: Options) -> Result<(), Failure> {
         if ending.arrived() {
             eprintln!("plumbline: interrupted; the best motion so far is kept");
         }
-        let path = file_of(&options.out, planned.purpose);
+        let path = file_of(out, planned.purpose);
         save_plan(&planned.plan, &path).map_err(Failure::job)?;
+        let sampled = options.trajectory.write(&planned.plan, planned.purpose)?;
         if options.json {
-            written.push(facts(&planned, &path));
+            written.push(facts(&planned, &path, &sampled));
         } else {
             show(&planned, &path);
+            sampled.iter().for_each(|sampled| say!("  {}", sampled.line()));
         }
         Ok(())
     })?;
@@ -51,6 +100,77 @@ pub fn run(options: Options) -> Result<(), Failure> {
         say!("{}", serde_json::to_string_pretty(&written).map_err(Failure::job)?);
     }
     Ok(())
+}
+
+/// The purpose of the motion of a plan file: its files have no number.
+const ALONE: Purpose = Purpose::Identify { number: 1, of: 1 };
+
+/// A written trajectory.
+struct Sampled {
+    path: PathBuf,
+    /// Length of the motion \[s\].
+    length: f64,
+}
+
+impl Sampled {
+    fn line(&self) -> String {
+        format!("{}: {} s", self.path.display(), self.length)
+    }
+
+    fn facts(&self) -> Value {
+        serde_json::json!({ "file": self.path, "length": self.length })
+    }
+}
+
+impl TrajectoryOptions {
+    /// Refuses options before the search. `of`: the motion of a plan file is to be written.
+    fn check(&self, of: bool) -> Result<(), BadInput> {
+        let bad =
+            |option: &str, found: &str, expected: &str| Err(BadInput::new("command line", option, found, expected));
+        if self.csv.is_none() && self.ros.is_none() {
+            let without = [(of, "--of"), (self.rate.is_some(), "--rate"), (self.periods != 1, "--periods")];
+            if let Some((_, option)) = without.into_iter().find(|(given, _)| *given) {
+                return bad(option, "neither --csv nor --ros", "--csv FILE or --ros FILE");
+            }
+        }
+        if let Some(rate) = self.rate.filter(|rate| !(0.1..=1e5).contains(rate)) {
+            return bad("--rate", &rate.to_string(), "0.1 to 100000 Hz");
+        }
+        if self.ros.is_none() && self.joint_names.is_some() {
+            return bad("--joint-names", "no --ros", "--ros FILE");
+        }
+        Ok(())
+    }
+
+    /// Refuses another number of names than the `n` joints.
+    fn check_names(&self, n: usize) -> Result<(), BadInput> {
+        match &self.joint_names {
+            Some(names) if names.len() != n => {
+                let (found, expected) = (format!("{} names", names.len()), format!("{n}, one per joint"));
+                Err(BadInput::new("command line", "--joint-names", found, expected))
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// Writes a motion sample by sample where that was asked for, numbered as the plan files are.
+    fn write(&self, plan: &Plan, purpose: Purpose) -> Result<Vec<Sampled>, Failure> {
+        let motion: Fourier = motion(plan)?;
+        let n = motion.joints();
+        self.check_names(n)?;
+        let trajectory =
+            |usual: f64| Trajectory { motion: &motion, rate: self.rate.unwrap_or(usual), periods: self.periods };
+        let names = || self.joint_names.clone().unwrap_or_else(|| ros_names(&plan.robot, n));
+        let csv = self.csv.iter().map(|path| (path, trajectory(CSV_RATE_HZ).csv()));
+        let ros = self.ros.iter().map(|path| (path, trajectory(ROS_RATE_HZ).ros(&names())));
+        csv.chain(ros)
+            .map(|(path, text)| {
+                let path = file_of(path, purpose);
+                crate::atomic::write_result(&path, text.as_bytes())?;
+                Ok(Sampled { path, length: motion.period * f64::from(self.periods) })
+            })
+            .collect()
+    }
 }
 
 /// `plan.toml` for a motion alone, else `plan-2.toml` or `plan-validate-2.toml`.
@@ -66,10 +186,11 @@ fn file_of(out: &Path, purpose: Purpose) -> PathBuf {
 }
 
 /// Condition numbers and use of the limits, as `--json` prints them.
-fn facts(Planned { plan, together, .. }: &Planned, path: &Path) -> Value {
+fn facts(Planned { plan, together, .. }: &Planned, path: &Path, sampled: &[Sampled]) -> Value {
     serde_json::json!({
         "file": path, "conditions": conditions_facts(&plan.conditions), "usage": plan.usage,
         "with_those_before": together.as_ref().map(conditions_facts),
+        "trajectories": sampled.iter().map(Sampled::facts).collect::<Vec<_>>(),
     })
 }
 

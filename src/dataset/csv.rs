@@ -56,7 +56,7 @@ pub(super) fn parse(file: &str, bytes: &[u8], torque: Torque) -> Result<Columns,
 }
 
 /// The text of a CSV file, without the mark that some programs write before it. Refuses files of another form by its name.
-fn text_of<'b>(file: &str, bytes: &'b [u8]) -> Result<&'b [u8], BadInput> {
+pub(crate) fn text_of<'b>(file: &str, bytes: &'b [u8]) -> Result<&'b [u8], BadInput> {
     let refused = |found: &str, expected: &str| Err(BadInput::new(file, "line 1", found, expected));
     let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
     if bytes.iter().all(u8::is_ascii_whitespace) {

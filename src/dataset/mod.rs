@@ -6,7 +6,7 @@
 //! A run whose file name ends in `.mcap` is a recording of the flight recorder.
 
 pub mod columns;
-mod csv;
+pub(crate) mod csv;
 mod flight;
 mod hash;
 mod hygiene;

@@ -179,7 +179,11 @@ impl Outcome<'_> {
                 })
                 .collect(),
             noise_floor: report.noise_floor.clone(),
-            uncertainty: uncertainty_of(&identified.identification, &identified.model),
+            uncertainty: uncertainty_of(
+                &identified.identification,
+                &identified.model,
+                identified.residual_spectrum.clone(),
+            ),
             consistent,
             model: identified.model,
             provenance,

@@ -17,7 +17,7 @@ use std::time::{Duration, Instant};
 pub struct Options {
     /// Robot: a shipped name such as panda, or the path of a robot description
     #[arg(long)]
-    pub robot: String,
+    pub robot: Option<String>,
     /// Mounting: upright, wall, ceiling, or RHO,PHI with units such as "60 deg,0 deg"
     #[arg(long, default_value = "upright")]
     mounting: String,
@@ -114,7 +114,7 @@ pub fn plan(
     stop: &(dyn Fn() -> bool + Sync),
     found: &mut dyn FnMut(Planned) -> Result<(), Failure>,
 ) -> Result<(), Failure> {
-    let robot = Robot::load(&options.robot, None)?;
+    let robot = options.robot()?;
     let mounting = parse_mounting("--mounting", &options.mounting)?;
     let search = options.search()?;
     let nominal = options.model.as_deref().map(|path| nominal(path, &robot)).transpose()?;
@@ -148,6 +148,17 @@ pub fn plan(
 }
 
 impl Options {
+    /// The robot to plan for.
+    ///
+    /// # Errors
+    /// No robot, or a description that can't be read.
+    pub fn robot(&self) -> Result<Robot, Failure> {
+        match &self.robot {
+            Some(robot) => Ok(Robot::load(robot, None)?),
+            None => Err(BadInput::new("command line", "--robot", "no robot", "--robot R").into()),
+        }
+    }
+
     fn search(&self) -> Result<Search, BadInput> {
         let bad =
             |option: &str, value: String, expected: &str| Err(BadInput::new("command line", option, value, expected));

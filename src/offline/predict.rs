@@ -1,6 +1,7 @@
 //! Torques of a model along a recorded motion.
 
 use crate::analysis::checks;
+use crate::analysis::external::Seen;
 use crate::analysis::pipeline::{self, Predicted};
 use crate::config::units::parse_mounting;
 use crate::dataset::{Dataset, Run};
@@ -9,10 +10,11 @@ use crate::store::ModelFile;
 use clap::Args;
 use plumbline_core::BadInput;
 use plumbline_identify::check::{self, State};
+use plumbline_identify::external::{ObserverSettings, Way};
 use plumbline_identify::{Settings, TorqueUncertainty};
-use plumbline_model::{Mounting, Robot, TorqueModel};
+use plumbline_model::{Chain, Mounting, Robot, TorqueModel};
 use plumbline_model_file::models;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// Options of [`predict`], in the words of `plumbline predict`.
 #[derive(Args)]
@@ -35,12 +37,45 @@ pub struct Options {
     /// Velocities of the motion: measured (where it has dq columns) or derived from the positions
     #[arg(long, default_value = "measured")]
     velocities: String,
+    /// Add the external torque as a controller would have it, and contact: columns tau_ext1, tau_ext1_low, tau_ext1_high .. (95 % interval), contact (1
+    /// where a joint exceeds its threshold). The values are those of a low-pass, late by its delay, which is printed
+    #[arg(long)]
+    external: bool,
+    /// Half-power frequency of the low-pass of the external torque in Hz
+    #[arg(long, value_name = "HZ", default_value_t = 20.0, requires = "external")]
+    bandwidth: f64,
+    /// False alarms an hour that are accepted, over all joints
+    #[arg(long, value_name = "PER_HOUR", default_value_t = 0.1, requires = "external")]
+    false_alarms: f64,
+    /// How the external torque is found: generalised momentum, or accelerations from differences of the velocities
+    #[arg(long, value_enum, default_value_t = By::Momentum, requires = "external")]
+    by: By,
+}
+
+/// The ways of the observer by their names on the command line.
+#[derive(Clone, Copy, clap::ValueEnum)]
+enum By {
+    Momentum,
+    Acceleration,
+}
+
+impl From<By> for Way {
+    fn from(by: By) -> Way {
+        match by {
+            By::Momentum => Way::Momentum,
+            By::Acceleration => Way::Acceleration,
+        }
+    }
 }
 
 /// The motion with the torques of the model along it.
 pub struct Prediction {
     pub run: Run,
     pub predicted: Predicted,
+    /// The external torque, where it was asked for.
+    pub external: Option<Seen>,
+    /// Kinematics of the robot.
+    pub chain: Chain,
     /// What is unusual in the recorded motion, one finding per line.
     pub warnings: Vec<String>,
 }
@@ -52,7 +87,7 @@ pub struct Prediction {
 pub fn predict(options: &Options) -> Result<Prediction, Failure> {
     let (file, _) = models::load(&options.model)?;
     let (model, uncertainty) = &chosen(options, &file)?;
-    let (run, robot) = motion(options, model, file.provenance.robot_description.as_deref())?;
+    let (run, robot) = motion(&Source::of(options), model, file.provenance.robot_description.as_deref())?;
     let warnings = check_motion(options, &run, &robot)?;
     if let Err(refused) = model.valid_in(&run.data.mounting)
         && !options.force
@@ -64,7 +99,42 @@ pub fn predict(options: &Options) -> Result<Prediction, Failure> {
     let measured_velocities = pipeline::measured_velocities(&options.velocities)?;
     let settings = Settings { measured_velocities, ..Settings::default() };
     let predicted = pipeline::predict(model, uncertainty.as_ref(), &run, &settings)?;
-    Ok(Prediction { run, predicted, warnings })
+    let external = match options.external {
+        true => Some(external(options, model, uncertainty.as_ref(), &run)?),
+        false => None,
+    };
+    Ok(Prediction { run, predicted, external, chain: robot.chain, warnings })
+}
+
+/// The external torque along the motion.
+fn external(
+    options: &Options,
+    model: &TorqueModel,
+    uncertainty: Option<&TorqueUncertainty>,
+    run: &Run,
+) -> Result<Seen, Failure> {
+    let name = || options.model.display().to_string();
+    if run.data.tau.ncols() == 0 {
+        let (file, expected) =
+            (options.run.display().to_string(), "tau1..taun: the external torque is measured less modelled");
+        return Err(BadInput::new(file, "line 1", "no torques", expected).into());
+    }
+    let Some(uncertainty) = uncertainty else {
+        let expected = "a model file with [uncertainty], as `plumbline identify` and `run` write it";
+        return Err(BadInput::new(name(), "--external", "no uncertainty of these parameters", expected).into());
+    };
+    let measured = pipeline::measured_velocities(&options.velocities)?;
+    let settings = ObserverSettings {
+        way: options.by.into(),
+        bandwidth: options.bandwidth,
+        false_alarms: options.false_alarms,
+        ..ObserverSettings::default()
+    };
+    Seen::along(model, uncertainty, &run.data, measured, settings).map_err(|error| {
+        let expected =
+            "a spectrum in the model file, a bandwidth below half the recording's rate, false alarms above 0";
+        BadInput::new(name(), "--external", error, expected).into()
+    })
 }
 
 /// The identified model with its uncertainty, or its physically consistent projection, whose uncertainty is unknown where the parameters moved.
@@ -84,40 +154,56 @@ fn chosen(options: &Options, file: &ModelFile) -> Result<(TorqueModel, Option<To
     Ok((projection, file.uncertainty.clone().filter(|_| nearest.exact)))
 }
 
+/// Where a motion comes from.
+pub(super) struct Source<'a> {
+    pub model: &'a Path,
+    pub run: &'a Path,
+    pub mounting: Option<&'a str>,
+    /// Whether a motion of another robot is taken.
+    pub force: bool,
+}
+
+impl<'a> Source<'a> {
+    fn of(options: &'a Options) -> Source<'a> {
+        let Options { model, run, mounting, force, .. } = options;
+        Source { model, run, mounting: mounting.as_deref(), force: *force }
+    }
+}
+
 /// The motion with its mounting: from `--mounting`, else from the dataset of the file, else from the model.
-fn motion(options: &Options, model: &TorqueModel, description: Option<&str>) -> Result<(Run, Robot), Failure> {
+pub(super) fn motion(source: &Source, model: &TorqueModel, description: Option<&str>) -> Result<(Run, Robot), Failure> {
     let robot = match description {
-        Some(text) => Robot::parse(&options.model.display().to_string(), text)?,
+        Some(text) => Robot::parse(&source.model.display().to_string(), text)?,
         None => Robot::load(model.robot(), None)?,
     };
-    let folder = options.run.parent().filter(|folder| folder.join("dataset.toml").is_file());
+    let folder = source.run.parent().filter(|folder| folder.join("dataset.toml").is_file());
     let of_dataset = match folder {
         Some(folder) => {
             let dataset = Dataset::read(folder)?;
             let declared = Robot::load(&dataset.robot, Some(folder))?;
-            if declared.chain != robot.chain && !options.force {
+            if declared.chain != robot.chain && !source.force {
                 let (file, found) = (folder.join("dataset.toml").display().to_string(), format!("`{}`", dataset.robot));
-                let expected = format!("`{}`, the robot of {}, or --force", robot.name, options.model.display());
+                let expected = format!("`{}`, the robot of {}, or --force", robot.name, source.model.display());
                 return Err(BadInput::new(file, "key `robot`", found, expected).into());
             }
             dataset
                 .runs
                 .into_iter()
-                .find(|run| options.run.file_name().is_some_and(|name| name == run.data.name.as_str()))
+                .find(|run| source.run.file_name().is_some_and(|name| name == run.data.name.as_str()))
         }
         None => None,
     };
     let mut run = match of_dataset {
         Some(run) => run,
-        None => Run::read_csv(&options.run, model.mountings().first().copied().unwrap_or(Mounting::UPRIGHT))?,
+        None => Run::read_csv(source.run, model.mountings().first().copied().unwrap_or(Mounting::UPRIGHT))?,
     };
-    if let Some(text) = &options.mounting {
+    if let Some(text) = source.mounting {
         run.data.mounting = parse_mounting("--mounting", text)?;
     }
     let n = model.structure().chain().len();
     if run.joints() != n {
         let expected = format!("q1..q{n}, the joints of robot `{}`", model.robot());
-        let file = options.run.display().to_string();
+        let file = source.run.display().to_string();
         return Err(BadInput::new(file, "line 1", format!("q1..q{}", run.joints()), expected).into());
     }
     Ok((run, robot))

@@ -6,12 +6,14 @@
 //! | `about` | metadata and the loop's inputs |
 //! | `messages`, `cdr` | messages and their encoding |
 //! | `write`, `read` | the file |
+//! | `foreign` | messages of files that other programs wrote |
 //!
 //! Format: MCAP (<https://mcap.dev/spec>), profile `ros2`, messages in CDR with their definitions in the file. Chunks of about 50 ms have
 //! checksums, so a truncated file is readable up to the cut. Every `f64` of the loop is stored bitwise.
 
 pub mod about;
 pub mod cdr;
+pub mod foreign;
 pub mod history;
 pub mod messages;
 mod read;

@@ -108,7 +108,7 @@ fn read_records(file: &str, bytes: &[u8], parts: &mut PartialRecording) -> Resul
 
 /// Number of bytes before the first chunk with a record beyond its end. mcap 0.26 does not detect this in chunks without a checksum: its
 /// remaining length becomes negative.
-fn valid_prefix(bytes: &[u8]) -> usize {
+pub(super) fn valid_prefix(bytes: &[u8]) -> usize {
     let mut at = mcap::MAGIC.len();
     while let Some((opcode, data)) = bytes.get(at..).and_then(first_record) {
         if opcode == op::CHUNK

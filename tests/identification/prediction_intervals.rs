@@ -16,7 +16,7 @@ fn stored(scene: &Scene, seed: u64, extra: Extra) -> (Vec<f64>, TorqueUncertaint
     let experiment = Experiment::prepare(&scene.record_with(PERIODS, seed, extra), &Settings::default()).unwrap();
     let found = solve::identify(&scene.structure, &[experiment]).unwrap();
     let model = TorqueModel::new("panda", scene.structure.clone(), vec![scene.mounting], &found.values()).unwrap();
-    let uncertainty = uncertainty_of(&found, &model);
+    let uncertainty = uncertainty_of(&found, &model, None);
     let (noise_floor, provenance) = (Vec::new(), Provenance::default());
     let file = ModelFile { model, noise_floor, validation: Vec::new(), uncertainty, consistent: None, provenance };
     let read = ModelFile::parse("model.toml", &file.to_toml(), |name| Ok(Robot::load(name, None)?.chain)).unwrap();

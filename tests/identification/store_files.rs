@@ -4,6 +4,7 @@ use nalgebra::{DMatrix, Vector3};
 use plumbline::store::*;
 use plumbline_core::BadInput;
 use plumbline_excite::{Constraints, Margins, Plan, PlanUsage, parse_plan, plan_text};
+use plumbline_identify::external::ResidualSpectrum;
 use plumbline_identify::{Spread, TorqueUncertainty};
 use plumbline_model::term::Sample;
 use plumbline_model::term::effect::{Site, Spec};
@@ -54,7 +55,11 @@ fn uncertainty(model: &TorqueModel, rng: &mut ChaCha8Rng) -> TorqueUncertainty {
     let mut freedom: Vec<f64> = (0..p).map(|_| rng.random_range(3.0..300.0)).collect();
     freedom[4] = f64::INFINITY;
     let residual_std = (0..7).map(|_| rng.random_range(0.1..0.3)).collect();
-    TorqueUncertainty { parameters: Spread { covariance, freedom }, residual_std, residual_freedom: 1234.5 }
+    let bands = ResidualSpectrum::bands(1000.0).count();
+    let power = (0..7).map(|_| (0..bands).map(|_| rng.random_range(0.0..1e-3)).collect()).collect();
+    let residual_spectrum = Some(ResidualSpectrum { rate: 1000.0, power });
+    let parameters = Spread { covariance, freedom };
+    TorqueUncertainty { parameters, residual_std, residual_freedom: 1234.5, residual_spectrum }
 }
 
 fn parse(text: &str) -> Result<ModelFile, String> {
@@ -79,6 +84,7 @@ fn a_model_file_round_trips_bitwise() {
         assert_eq!(read_too.parameters.freedom, written_too.parameters.freedom);
         assert_eq!(read_too.residual_std, written_too.residual_std);
         assert_eq!(read_too.residual_freedom, written_too.residual_freedom);
+        assert_eq!(read_too.residual_spectrum, written_too.residual_spectrum);
         // The second route: the same torque, not only the same numbers.
         let gravity = Vector3::new(1.0, -2.0, 9.0);
         let sample = Sample { q: [0.3; 8], dq: [-0.7; 8], ddq: [2.0; 8] };
@@ -227,6 +233,23 @@ fn every_wrong_uncertainty_is_refused_by_name() {
     let cases = [
         (spoil(&|block| list(&mut block["residual-std"]).truncate(6)), "key `residual-std`: got 6 values, expected 7"),
         (spoil(&|block| list(&mut block["residual-std"])[2] = (-0.1).into()), "key `residual-std[2]`: got -0.1"),
+        (spoil(&|block| block["residual-rate"] = 0.5.into()), "key `residual-rate`: got 0.5, expected a sampling rate"),
+        (
+            spoil(&|block| drop(block.remove("residual-rate"))),
+            "key `residual-rate`: got no value, expected a value, as `residual-spectrum` has one",
+        ),
+        (
+            spoil(&|block| list(&mut block["residual-spectrum"]).truncate(6)),
+            "key `residual-spectrum`: got 6 rows, expected 7",
+        ),
+        (
+            spoil(&|block| list(&mut list(&mut block["residual-spectrum"])[3]).truncate(2)),
+            "key `residual-spectrum[3]`: got 2 values, expected 23",
+        ),
+        (
+            spoil(&|block| list(&mut list(&mut block["residual-spectrum"])[0])[5] = (-1e-9).into()),
+            "key `residual-spectrum[0][5]`: got -0.000000001, expected a power",
+        ),
         (
             spoil(&|block| block["residual-freedom"] = 0.0.into()),
             "key `residual-freedom`: got 0, expected degrees of freedom, 1 or more",

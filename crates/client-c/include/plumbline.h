@@ -217,6 +217,20 @@ enum PlumblineCode plumbline_torque_std(struct PlumblineModel *model,
                                         const double *ddq,
                                         double *std);
 
+// External torque, measured less modelled, 11 ms late: n values [Nm], half the width of their 95 % intervals [Nm], and in `contact` 1 where a joint
+// exceeds its threshold (one false alarm in ten hours), else 0. Measured position [rad], velocity [rad/s] and torque [Nm]. Once per cycle.
+//
+// # Safety
+// As plumbline_torque; `contact` is null or may be written to.
+enum PlumblineCode plumbline_external(struct PlumblineModel *model,
+                                      uintptr_t n,
+                                      const double *q,
+                                      const double *dq,
+                                      const double *tau,
+                                      double *tau_ext,
+                                      double *half_width,
+                                      uint32_t *contact);
+
 // Opens the publisher of the states of `robot` with n joints. Needs no daemon.
 //
 // # Safety

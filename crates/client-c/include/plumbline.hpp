@@ -5,6 +5,7 @@
 #include "plumbline.h"
 
 #include <array>
+#include <cstdint>
 #include <memory>
 #include <stdexcept>
 #include <string>
@@ -78,6 +79,15 @@ public:
 
     PlumblineCode torque_std(const Vector &q, const Vector &dq, const Vector &ddq, Vector &std) noexcept {
         return plumbline_torque_std(model_.get(), N, q.data(), dq.data(), ddq.data(), std.data());
+    }
+
+    PlumblineCode external(const Vector &q, const Vector &dq, const Vector &tau, Vector &tau_ext, Vector &half_width,
+                           bool &contact) noexcept {
+        std::uint32_t flag = 0;
+        const PlumblineCode code = plumbline_external(model_.get(), N, q.data(), dq.data(), tau.data(), tau_ext.data(),
+                                                      half_width.data(), &flag);
+        contact = flag != 0;
+        return code;
     }
 
     PlumblineStatus status() noexcept {

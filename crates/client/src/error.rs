@@ -85,9 +85,14 @@ pub enum Fault {
     /// The model lacks parameters for this direction of gravity (a VBS with gravity not along axis 1).
     #[error("the model is not valid under this gravity: it was identified with gravity along axis 1")]
     Mounting,
-    /// The model file has no `[uncertainty]`.
-    #[error("the model file has no [uncertainty]")]
+    /// The model file has no `[uncertainty]`, or, for the external torque, none with a spectrum of the residual.
+    #[error("the model file has no [uncertainty], or one without residual-spectrum")]
     NoUncertainty,
+    /// A setting of the external torque is out of range.
+    #[error(
+        "a setting of the external torque is out of range: expected a bandwidth below half the rate, false alarms above 0"
+    )]
+    Setting,
     /// The queue to the sending thread is full: the sample is lost, and counted.
     #[error("the queue of samples is full: the sample is lost")]
     QueueFull,

@@ -10,16 +10,13 @@
 )]
 
 use crate::error::{Error, Fault};
-use nalgebra::{DMatrix, Vector3};
-use plumbline_core::{BadInput, JointVec, MAX_JOINTS, Torque};
+use nalgebra::Vector3;
+use plumbline_core::{BadInput, JointVec, Torque};
 use plumbline_identify::TorqueUncertainty;
-use plumbline_model::term::{FixedTerm, Sample, Term, friction};
-use plumbline_model::{
-    BaseKind, ClosedForm, Evaluator, ModelError, Mounting, SampleRegressor, TorqueModel, VERTICAL_TOLERANCE,
-};
+use plumbline_identify::external::{External, ExternalObserver, ObserverSettings};
+use plumbline_model::term::{Sample, friction};
+use plumbline_model::{BaseKind, ClosedForm, Evaluator, LoopRegressor, ModelError, Mounting, VERTICAL_TOLERANCE};
 use plumbline_model_file::ModelFile;
-
-const ROTOR_INERTIA: &str = "rotor-inertia";
 
 /// The model of one file under one gravity.
 pub(crate) struct Evaluation {
@@ -34,8 +31,10 @@ pub(crate) struct Evaluation {
     inertial: Evaluator,
     weightless: Evaluator,
     friction: ClosedForm,
-    regressor: Regressor,
+    regressor: LoopRegressor,
     uncertainty: Option<TorqueUncertainty>,
+    /// `None` where the file has no spectrum of the residual.
+    observer: Option<ExternalObserver>,
 }
 
 impl Evaluation {
@@ -52,9 +51,7 @@ impl Evaluation {
         }
         model.valid_in(&Mounting::along(&gravity)).map_err(|error| refused(error.to_string()))?;
         let unusable = |error: ModelError| BadInput::new("model", "[[term]]", error, "terms that can be evaluated");
-        let is_inertial =
-            |term: &dyn Term| term.id() == ROTOR_INERTIA || term.spec().is_some_and(|spec| spec.is_on_last_link());
-        let inertial = model.part(is_inertial).map_err(unusable)?;
+        let inertial = model.inertial().map_err(unusable)?;
         let structure = model.structure();
         let mut closed = ClosedForm::default();
         for (term, parameters) in model.terms().iter().filter(|(term, _)| term.id() == friction::ID) {
@@ -62,6 +59,10 @@ impl Evaluation {
             // Friction of every joint always has a closed form.
             term.fix(structure.chain(), &gravity, &beta).join(&mut closed);
         }
+        let spectral = uncertainty.as_ref().filter(|of| of.residual_spectrum.is_some());
+        let usual = ObserverSettings::default();
+        let observer = spectral.map(|of| ExternalObserver::new(&model, of, &gravity, usual)).transpose();
+        let observer = observer.map_err(|error| BadInput::new("model", "[uncertainty]", error, "a usable spectrum"))?;
         Ok(Evaluation {
             id,
             joints: structure.chain().len(),
@@ -72,15 +73,16 @@ impl Evaluation {
             weightless: inertial.evaluator(&Vector3::zeros()),
             inertial: inertial.evaluator(&gravity),
             friction: closed,
-            regressor: Regressor::new(&model, &gravity).map_err(unusable)?,
+            regressor: LoopRegressor::new(&model, &gravity).map_err(unusable)?,
             uncertainty,
+            observer,
         })
     }
 
     /// Sets the period of the calls \[s\].
     pub fn every(&mut self, dt: f64) {
         self.torque.every(dt);
-        self.regressor.effects.iter_mut().for_each(|(_, effect)| effect.every(dt));
+        self.regressor.every(dt);
     }
 
     pub fn torque(&mut self, sample: &Sample, gravity: Option<[f64; 3]>) -> Result<JointVec, Fault> {
@@ -129,73 +131,23 @@ impl Evaluation {
     }
 
     pub fn columns(&self) -> usize {
-        self.regressor.columns.len()
+        self.regressor.len()
     }
 
     /// Standard deviation of each joint's torque by the covariance of the parameters, `sqrt(y C y')` with `y` the joint's row \[Nm\].
     pub fn std(&mut self, sample: &Sample) -> Result<JointVec, Fault> {
         let Evaluation { regressor, uncertainty, .. } = self;
         let uncertainty = uncertainty.as_ref().ok_or(Fault::NoUncertainty)?;
-        let columns = regressor.at(sample);
-        let covariance: &DMatrix<f64> = &uncertainty.parameters.covariance;
-        let mut variance = [0.0; MAX_JOINTS];
-        for (row, with) in columns.iter().zip(covariance.as_slice().chunks_exact(covariance.nrows().max(1))) {
-            let mut spread = [0.0; MAX_JOINTS];
-            for (column, covariance) in columns.iter().zip(with) {
-                spread.iter_mut().zip(column).for_each(|(spread, value)| *spread += covariance * value);
-            }
-            for ((variance, row), spread) in variance.iter_mut().zip(row).zip(&spread) {
-                *variance += row * spread;
-            }
-        }
-        Ok(variance.map(|variance| variance.max(0.0).sqrt()))
-    }
-}
-
-/// The regressor of a model sample by sample, terms with a memory included.
-struct Regressor {
-    /// Terms of one sample, and the model's column of each of their columns.
-    plain: SampleRegressor,
-    places: Vec<usize>,
-    /// The other terms, one per column, with a unit parameter: the served torque's own arithmetic.
-    effects: Vec<(usize, Box<dyn FixedTerm>)>,
-    columns: Vec<JointVec>,
-}
-
-impl Regressor {
-    fn new(model: &TorqueModel, gravity: &Vector3<f64>) -> Result<Regressor, ModelError> {
-        let structure = model.structure();
-        let part = model.part(|term| term.entries().is_some())?;
-        let plain =
-            SampleRegressor::new(part.structure(), gravity).map_err(|id| ModelError::UnknownTerm { id: id.into() })?;
-        let (mut places, mut effects) = (Vec::new(), Vec::new());
-        for (term, range) in structure.terms().iter().zip(structure.ranges()) {
-            if term.entries().is_some() {
-                places.extend(range);
-                continue;
-            }
-            let width = range.len();
-            for (c, place) in range.enumerate() {
-                let unit: Vec<f64> = (0..width).map(|own| f64::from(u8::from(own == c))).collect();
-                effects.push((place, term.fix(structure.chain(), gravity, &unit)));
-            }
-        }
-        let columns = vec![[0.0; MAX_JOINTS]; structure.columns().len()];
-        Ok(Regressor { plain, places, effects, columns })
+        Ok(uncertainty.parameters.variance(regressor.at(sample)).map(f64::sqrt))
     }
 
-    fn at(&mut self, sample: &Sample) -> &[JointVec] {
-        for (place, found) in self.places.iter().zip(self.plain.at(sample)) {
-            if let Some(column) = self.columns.get_mut(*place) {
-                *column = *found;
-            }
-        }
-        for (place, effect) in &mut self.effects {
-            if let Some(column) = self.columns.get_mut(*place) {
-                *column = [0.0; MAX_JOINTS];
-                effect.torque(sample, column);
-            }
-        }
-        &self.columns
+    /// The external torque at the next sample.
+    pub fn external(&mut self, q: &JointVec, dq: &JointVec, tau: &JointVec) -> Result<External, Fault> {
+        Ok(self.observer.as_mut().ok_or(Fault::NoUncertainty)?.next(q, dq, tau))
+    }
+
+    /// Settings of the external torque; the observer begins anew.
+    pub fn observe(&mut self, settings: ObserverSettings) -> Result<(), Fault> {
+        self.observer.as_mut().map_or(Ok(()), |observer| observer.configure(settings)).map_err(|_| Fault::Setting)
     }
 }

@@ -3,6 +3,7 @@
 //! | what | items |
 //! |---|---|
 //! | the model of a file, or followed from the daemon | [`Model`], [`Follower`] |
+//! | external torque and contact | [`Model::external`], [`External`] |
 //! | the controller's states for the daemon | [`Guest`] |
 //! | torque of the daemon's own motion | [`FeedForwardClient`] |
 //! | errors: of a call in the control loop, of all others | [`Fault`], [`Error`] |
@@ -39,4 +40,5 @@ pub use error::{Error, Fault};
 pub use follower::{Change, Expected, Follower};
 pub use guest::Guest;
 pub use model::{Model, Status};
+pub use plumbline_identify::external::{External, Way};
 pub use plumbline_ipc::{FeedForwardClient, FeedForwardSettings, IpcError, Latest, Presence, RobotId};

@@ -13,7 +13,8 @@ use crate::background::Background;
 use crate::error::{Error, Fault};
 use crate::evaluation::Evaluation;
 use crate::follower::{Expected, Shared, follow, read};
-use plumbline_core::{JointVec, PERIOD_S, Validity};
+use plumbline_core::{JointVec, Validity};
+use plumbline_identify::external::{External, ObserverSettings, Way};
 use plumbline_ipc::boot_ns;
 use plumbline_model::term::Sample;
 use rtrb::{Consumer, Producer};
@@ -55,7 +56,7 @@ pub struct Model {
     evaluation: Option<Box<Evaluation>>,
     inbox: Option<Inbox>,
     shared: Arc<Shared>,
-    period: f64,
+    observer: ObserverSettings,
     /// The thread that follows the daemon, where this model has its own.
     background: Option<Background>,
 }
@@ -83,7 +84,13 @@ impl Model {
     }
 
     pub(crate) fn of(evaluation: Option<Evaluation>, inbox: Option<Inbox>, shared: Arc<Shared>) -> Model {
-        Model { evaluation: evaluation.map(Box::new), inbox, shared, period: PERIOD_S, background: None }
+        Model {
+            evaluation: evaluation.map(Box::new),
+            inbox,
+            shared,
+            observer: ObserverSettings::default(),
+            background: None,
+        }
     }
 
     /// What the thread that follows the daemon has last failed at; `None` while it succeeds. The error of a refused model stays until another one
@@ -92,10 +99,23 @@ impl Model {
         self.shared.trouble()
     }
 
-    /// Sets the period of the calls for terms with a memory \[s\]; 1 ms before.
+    /// Sets the period of the calls for terms with a memory and for [`Model::external`] \[s\]; 1 ms before.
     pub fn set_period(&mut self, period: f64) {
-        self.period = period;
-        self.evaluation.iter_mut().for_each(|own| own.every(period));
+        self.observer.dt = period;
+        let settings = self.observer;
+        self.evaluation.iter_mut().for_each(|own| take_up(own, settings));
+    }
+
+    /// Sets how the external torque is found: half-power frequency of its low-pass \[Hz\] (20 before), false alarms an hour that are accepted over all
+    /// joints (0.1 before), way (by momentum before). The observer begins anew.
+    ///
+    /// # Errors
+    /// [`Fault::Setting`]; the settings before stay.
+    pub fn set_observer(&mut self, way: Way, bandwidth: f64, false_alarms: f64) -> Result<(), Fault> {
+        let settings = ObserverSettings { way, bandwidth, false_alarms, dt: self.observer.dt };
+        settings.check().map_err(|_| Fault::Setting)?;
+        self.observer = settings;
+        self.evaluation.as_mut().map_or(Ok(()), |own| own.observe(settings))
     }
 
     /// Takes over a model that has arrived. Wait-free.
@@ -105,7 +125,7 @@ impl Model {
             while !retired.is_full()
                 && let Ok(mut new) = models.pop()
             {
-                new.every(self.period);
+                take_up(&mut new, self.observer);
                 if let Some(old) = self.evaluation.replace(new) {
                     // There is room.
                     let _ = retired.push(old);
@@ -239,6 +259,27 @@ impl Model {
         write(&own.std(&sample)?, std);
         Ok(())
     }
+
+    /// External torque: measured less modelled torque, with its 95 % interval and a flag for contact ([`External`]). Measured position \[rad\], velocity
+    /// \[rad/s\] and torque \[Nm\], n values each. A force `f` on the arm at a point with Jacobian `J` gives `-J' f`.
+    ///
+    /// Call it once per cycle. It has a memory of its own: the first 60 ms after the first call and after a new model are not `settled`, and its values are
+    /// those of 11 ms before (at 20 Hz; [`Model::set_observer`]). Gravity is the model's own.
+    ///
+    /// # Errors
+    /// [`Fault::NoUncertainty`], [`Fault::NoModel`], [`Fault::Length`], [`Fault::NotFinite`].
+    pub fn external(&mut self, q: &[f64], dq: &[f64], tau: &[f64]) -> Result<External, Fault> {
+        let own = self.current()?;
+        let n = own.joints;
+        own.external(&padded(q, n)?, &padded(dq, n)?, &padded(tau, n)?)
+    }
+}
+
+/// Gives an evaluation the caller's settings.
+fn take_up(own: &mut Evaluation, settings: ObserverSettings) {
+    own.every(settings.dt);
+    // They were checked; a period that they do not fit leaves the observer as it is.
+    let _ = own.observe(settings);
 }
 
 fn check_length(values: &[f64], expected: usize) -> Result<(), Fault> {

@@ -8,6 +8,7 @@ use super::usage::{check_usage, usage};
 use plumbline_core::parallel;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
+use std::ops::Range;
 
 /// Shares of every joint's range of motion that the random motions use in turn: effects of friction show at low speeds and small strokes, those of
 /// inertia and load at large ones.
@@ -27,22 +28,31 @@ struct Scored {
 }
 
 /// The motion with the largest `score` among `search.starts` random ones and those of `search.rounds` rounds of perturbing the best. `score` is `None`
-/// for a motion that it can't judge. The result satisfies every limit at 1 kHz and depends on the seed, not on the number of threads.
+/// for a motion that it can't judge. Joints outside `moving` (from 0) stay at the start pose. The result satisfies every limit at 1 kHz and depends on the
+/// seed, not on the number of threads.
 ///
 /// # Errors
 /// An invalid problem; no feasible motion with a score.
 pub fn best_by_score(
     problem: &Problem,
     search: &Search,
+    moving: Range<usize>,
     score: &(dyn Fn(&Fourier) -> Option<f64> + Sync),
     control: &SearchControl,
 ) -> Result<Plan, ExciteError> {
     validate(problem, search)?;
     let done = std::sync::atomic::AtomicUsize::new(0);
     let of = search.starts + search.rounds * ELITES * PERTURBATIONS;
-    let judged = |fourier: Fourier| -> Result<Option<Scored>, ExciteError> {
+    let judged = |mut fourier: Fourier| -> Result<Option<Scored>, ExciteError> {
+        let still = (0..fourier.joints()).filter(|j| !moving.contains(j));
+        still.for_each(|j| fourier.scale_joint(j, 0.0));
         let fourier = shrunk(problem, fourier, search.samples)?;
-        check_usage(&usage(&problem.bounds, &fourier), None, 1)?;
+        let mut used = usage(&problem.bounds, &fourier);
+        // A joint that is to stay is not frozen.
+        if let Some(first) = used.get(moving.clone()).and_then(<[_]>::first).copied() {
+            (0..used.len()).filter(|j| !moving.contains(j)).for_each(|j| used[j] = first);
+        }
+        check_usage(&used, None, 1)?;
         Ok(score(&fourier).filter(|score| score.is_finite()).map(|score| Scored { fourier, score }))
     };
     let counted = |found: Result<Option<Scored>, ExciteError>| {

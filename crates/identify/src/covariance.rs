@@ -7,6 +7,7 @@
 
 use super::periods::NoiseOfMean;
 use nalgebra::{DMatrix, DVector};
+use plumbline_core::JointVec;
 use realfft::num_complex::Complex;
 use std::f64::consts::PI;
 
@@ -23,6 +24,22 @@ impl Spread {
     /// Zero covariance, the neutral element of [`Spread::plus`].
     pub fn zero(parameters: usize) -> Spread {
         Spread { covariance: DMatrix::zeros(parameters, parameters), freedom: vec![f64::INFINITY; parameters] }
+    }
+
+    /// `y C y'` of each joint with `y` its row of the regressor, from the regressor's columns. Neither allocates nor panics.
+    pub fn variance(&self, columns: &[JointVec]) -> JointVec {
+        let of = &self.covariance;
+        let mut variance = JointVec::default();
+        for (row, with) in columns.iter().zip(of.as_slice().chunks_exact(of.nrows().max(1))) {
+            let mut spread = JointVec::default();
+            for (column, covariance) in columns.iter().zip(with) {
+                spread.iter_mut().zip(column).for_each(|(spread, value)| *spread += covariance * value);
+            }
+            for ((variance, row), spread) in variance.iter_mut().zip(row).zip(&spread) {
+                *variance += row * spread;
+            }
+        }
+        variance.map(|variance| variance.max(0.0))
     }
 
     /// Sum of two independent contributions.

@@ -8,6 +8,8 @@
 //! | signal processing | [`Experiment`], [`Settings`], [`signal`] |
 //! | estimators: OLS, WLS, Huber, TLS, IV | [`solve`] |
 //! | prediction intervals of torques | [`TorqueUncertainty`] |
+//! | external torque, contact | [`external`] |
+//! | the body on the last link, against a stored model | [`payload`] |
 //! | recursive least squares (not used by the program yet) | [`streaming`] |
 //! | nearest physically consistent parameters | [`consistency`] |
 //! | mounting and direction of gravity from torques | [`cross_check`], [`direction()`] |
@@ -52,8 +54,10 @@ mod direction;
 mod essential;
 mod even;
 mod experiment;
+pub mod external;
 mod faults;
 mod mounting_check;
+pub mod payload;
 mod periods;
 mod plausibility;
 mod prediction;

@@ -1,6 +1,7 @@
 //! Prediction intervals of torques.
 
 use super::covariance::Spread;
+use super::external::ResidualSpectrum;
 use super::solve::{Identification, student_975};
 use nalgebra::DMatrix;
 
@@ -16,6 +17,8 @@ pub struct TorqueUncertainty {
     pub residual_std: Vec<f64>,
     /// Degrees of freedom of the variance of each joint's residual.
     pub residual_freedom: f64,
+    /// The residual of the identification's runs by frequency, for external torques; `None` where unknown.
+    pub residual_spectrum: Option<ResidualSpectrum>,
 }
 
 impl TorqueUncertainty {
@@ -37,6 +40,7 @@ impl TorqueUncertainty {
             parameters: Spread { covariance, freedom: identification.freedom.clone() },
             residual_std: rms.raw.iter().map(|rms| rms * corrected).collect(),
             residual_freedom,
+            residual_spectrum: None,
         }
     }
 
@@ -85,6 +89,7 @@ mod tests {
             },
             residual_std: vec![0.3, 0.0],
             residual_freedom: 1e9,
+            residual_spectrum: None,
         }
     }
 

@@ -2,6 +2,7 @@
 
 use nalgebra::DMatrix;
 use plumbline_core::{BadInput, symmetric_eigen};
+use plumbline_identify::external::ResidualSpectrum;
 use plumbline_identify::solve::Identification;
 use plumbline_identify::{Spread, TorqueUncertainty};
 use plumbline_model::{Parameter, TorqueModel};
@@ -19,14 +20,25 @@ pub(super) struct Raw {
     residual_freedom: f64,
     freedom: Vec<f64>,
     covariance: Vec<Vec<f64>>,
+    /// Both are absent in files of earlier versions.
+    residual_rate: Option<f64>,
+    residual_spectrum: Option<Vec<Vec<f64>>>,
 }
+
+/// Largest sampling rate of a recording \[Hz\].
+const MAX_RATE: f64 = 1e6;
 
 /// What is wrong with a block: key, found, expected.
 type Wrong = (String, String, String);
 
-/// Uncertainty of the model with an identification's parameters; `None`, with a warning, where a model file with it would be refused.
-pub fn uncertainty_of(identification: &Identification, model: &TorqueModel) -> Option<TorqueUncertainty> {
-    let found = TorqueUncertainty::of(identification);
+/// Uncertainty of the model with an identification's parameters and the spectrum of its residual ([`residual_spectrum`](plumbline_identify::external::residual_spectrum));
+/// `None`, with a warning, where a model file with it would be refused.
+pub fn uncertainty_of(
+    identification: &Identification,
+    model: &TorqueModel,
+    residual_spectrum: Option<ResidualSpectrum>,
+) -> Option<TorqueUncertainty> {
+    let found = TorqueUncertainty { residual_spectrum, ..TorqueUncertainty::of(identification) };
     match check(&found, model) {
         Ok(()) => Some(found),
         Err((key, value, expected)) => {
@@ -50,6 +62,9 @@ fn check(found: &TorqueUncertainty, model: &TorqueModel) -> Result<(), Wrong> {
     let a_freedom = "degrees of freedom, 1 or more";
     if !(found.residual_freedom.is_finite() && found.residual_freedom >= 1.0) {
         return wrong("residual-freedom".into(), found.residual_freedom.to_string(), a_freedom);
+    }
+    if let Some(spectrum) = &found.residual_spectrum {
+        check_spectrum(spectrum, n)?;
     }
     if freedom.len() != parameters.len() {
         let found = format!("{} values", freedom.len());
@@ -100,12 +115,43 @@ fn check(found: &TorqueUncertainty, model: &TorqueModel) -> Result<(), Wrong> {
     Ok(())
 }
 
+fn check_spectrum(spectrum: &ResidualSpectrum, n: usize) -> Result<(), Wrong> {
+    let wrong = |key: String, found: String, expected: &str| Err((key, found, expected.to_string()));
+    let ResidualSpectrum { rate, power } = spectrum;
+    if !(*rate >= 1.0 && *rate <= MAX_RATE) {
+        return wrong("residual-rate".into(), rate.to_string(), "a sampling rate, 1 to 1e6 Hz");
+    }
+    if power.len() != n {
+        return wrong("residual-spectrum".into(), format!("{} rows", power.len()), &format!("{n}, one per joint"));
+    }
+    let bands = ResidualSpectrum::bands(*rate).count();
+    for (j, power) in power.iter().enumerate() {
+        if power.len() != bands {
+            let expected = format!("{bands}, one per band up to half the residual-rate");
+            return wrong(format!("residual-spectrum[{j}]"), format!("{} values", power.len()), &expected);
+        }
+        if let Some(band) = power.iter().position(|value| !(value.is_finite() && *value >= 0.0)) {
+            let key = format!("residual-spectrum[{j}][{band}]");
+            return wrong(key, power[band].to_string(), "a power in Nm^2, 0 or more");
+        }
+    }
+    Ok(())
+}
+
 /// Writes the block with `line`.
 pub(super) fn write(line: &mut impl FnMut(std::fmt::Arguments), model: &TorqueModel, found: &TorqueUncertainty) {
     let Spread { covariance, freedom } = &found.parameters;
     line(format_args!("\n[uncertainty] # parameters in the order of this file"));
     line(format_args!("residual-std = {:?} # one raw torque sample, Nm", found.residual_std));
     line(format_args!("residual-freedom = {:?}", found.residual_freedom));
+    if let Some(ResidualSpectrum { rate, power }) = &found.residual_spectrum {
+        line(format_args!("residual-rate = {rate:?} # Hz"));
+        line(format_args!(
+            "residual-spectrum = [ # per joint, Nm^2: 0 to 0.25 Hz, then half octaves up to half the rate"
+        ));
+        power.iter().for_each(|power| line(format_args!("  {power:?},")));
+        line(format_args!("]"));
+    }
     line(format_args!("freedom = {freedom:?} # of the variance of each parameter"));
     line(format_args!("covariance = [ # lower triangle; the diagonal is the square of each std"));
     for (c, parameter) in model.parameters().iter().enumerate() {
@@ -122,6 +168,8 @@ impl Raw {
     pub(super) fn check(&self, file: &str, names: &[&str], model: &TorqueModel) -> Result<TorqueUncertainty, BadInput> {
         let bad =
             |(key, found, expected): Wrong| BadInput::new(file, format!("[uncertainty], key `{key}`"), found, expected);
+        let missing =
+            |key: &str, other: &str| bad((key.into(), "no value".into(), format!("a value, as `{other}` has one")));
         let p = names.len();
         if self.covariance.len() != p {
             let found = format!("{} rows", self.covariance.len());
@@ -146,10 +194,17 @@ impl Raw {
             let (row, column) = (places[c].max(places[d]), places[c].min(places[d]));
             self.covariance[row][column]
         });
+        let residual_spectrum = match (&self.residual_rate, &self.residual_spectrum) {
+            (Some(rate), Some(power)) => Some(ResidualSpectrum { rate: *rate, power: power.clone() }),
+            (None, None) => None,
+            (Some(_), None) => return Err(missing("residual-spectrum", "residual-rate")),
+            (None, Some(_)) => return Err(missing("residual-rate", "residual-spectrum")),
+        };
         let found = TorqueUncertainty {
             parameters: Spread { covariance, freedom: places.iter().map(|&place| self.freedom[place]).collect() },
             residual_std: self.residual_std.clone(),
             residual_freedom: self.residual_freedom,
+            residual_spectrum,
         };
         check(&found, model).map_err(bad)?;
         Ok(found)

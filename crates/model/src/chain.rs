@@ -167,6 +167,23 @@ impl Chain {
         }
         placement.then(&self.flange)
     }
+
+    /// Jacobian of the end effector in the base frame, one column per joint: its velocity \[m/s\] above its angular velocity \[rad/s\] at 1 rad/s (prismatic:
+    /// 1 m/s). A wrench `w` (force above moment) on the end effector is balanced by `-J' w`. `q` has at least `len()` entries \[rad\].
+    pub fn jacobian(&self, q: &[f64]) -> Vec<[f64; 6]> {
+        let tip = self.end_effector(q);
+        let mut placement = Placement::identity();
+        let columns = self.joints.iter().zip(q).map(|(joint, &qi)| {
+            placement = placement.then(&joint.placement(qi));
+            let axis = placement.rotation.column(2).into_owned();
+            let (linear, angular) = match joint.kind {
+                JointKind::Revolute => (axis.cross(&(tip - placement.origin)), axis),
+                JointKind::Prismatic => (axis, Vector3::zeros()),
+            };
+            [linear.x, linear.y, linear.z, angular.x, angular.y, angular.z]
+        });
+        columns.collect()
+    }
 }
 
 /// `sin_cos` that is exact at multiples of a right angle, so that the structure of an arm's geometry survives rounding.

@@ -9,7 +9,7 @@ use super::rnea::LinkParameters;
 use super::structure::{ModelError, Structure};
 use super::term::effect::{self, Place, Setting, Site, Spec};
 use super::term::subset::Subset;
-use super::term::{self, Column, FixedTerm, Motion, Sample, Term, payload, rigid_body};
+use super::term::{self, Column, FixedTerm, Motion, Sample, Term, payload, rigid_body, rotor_inertia};
 use nalgebra::{DMatrix, Vector3};
 use plumbline_core::{JointVec, Torque};
 use std::ops::Range;
@@ -212,6 +212,15 @@ impl TorqueModel {
         let all = rigid.iter().chain(parameters.into_iter().flatten());
         let values: Vec<_> = all.map(|parameter| (parameter.value, parameter.std)).collect();
         TorqueModel::new(self.robot.clone(), structure, self.mountings.clone(), &values)
+    }
+
+    /// The part with inertia: rigid links, bodies on the last link and rotors, with the same parameters.
+    ///
+    /// # Errors
+    /// As [`Structure::new`].
+    pub fn inertial(&self) -> Result<TorqueModel, ModelError> {
+        let on_last_link = |term: &dyn Term| term.spec().is_some_and(|spec| spec.is_on_last_link());
+        self.part(|term| term.id() == rotor_inertia::ID || on_last_link(term))
     }
 
     /// `beta`.

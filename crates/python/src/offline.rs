@@ -60,7 +60,7 @@ pub fn compare(py: Python<'_>, arguments: Vec<OsString>) -> PyResult<()> {
 #[pyfunction]
 pub fn predict(py: Python<'_>, arguments: Vec<OsString>) -> PyResult<Bound<'_, PyDict>> {
     let options = options(py, arguments)?;
-    let Prediction { run, predicted, warnings } = released(py, || offline::predict::predict(&options))?;
+    let Prediction { run, predicted, warnings, .. } = released(py, || offline::predict::predict(&options))?;
     let coverage = predicted.coverage(&run.data.tau);
     let (rows, n) = predicted.torques.shape();
     let matrix = |value: &dyn Fn(usize, usize) -> f64| -> PyResult<Bound<'_, PyArray2<f64>>> {

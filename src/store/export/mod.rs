@@ -6,6 +6,7 @@
 pub mod c;
 pub mod effects;
 mod emit;
+pub mod load;
 pub mod mjcf;
 pub mod splice;
 pub mod tree;

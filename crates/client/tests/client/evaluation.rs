@@ -2,7 +2,9 @@
 
 use crate::models::*;
 use nalgebra::{DMatrix, DVector, Vector3};
-use plumbline_client::{Error, Fault, Model};
+use plumbline_client::{Error, Fault, Model, Way};
+use plumbline_identify::TorqueUncertainty;
+use plumbline_identify::external::{ExternalObserver, ObserverSettings};
 use plumbline_model::term::Sample;
 use plumbline_model::{LinkParameters, Mounting, Reduction, Robot, Structure, TorqueModel};
 use plumbline_model_file::ModelFile;
@@ -166,6 +168,39 @@ fn the_standard_deviation_is_that_of_the_covariance() {
     assert_eq!(without.torque_std(&[0.0; 7], &[0.0; 7], &[0.0; 7], &mut std), Err(Fault::NoUncertainty));
 }
 
+/// The loop's call is the observer's own, and does not disturb the memory of the torque.
+#[test]
+fn the_external_torque_is_the_observers() {
+    let of = file(model("panda", 10, &[presliding()]));
+    let mut own = load("external", &of, WALL).unwrap();
+    let mut other = load("external-other", &of, WALL).unwrap();
+    let uncertainty = of.uncertainty.as_ref().unwrap();
+    let settings = ObserverSettings { bandwidth: 30.0, ..ObserverSettings::default() };
+    let mut observer = ExternalObserver::new(&of.model, uncertainty, &Vector3::from(WALL), settings).unwrap();
+    own.set_observer(Way::Momentum, 30.0, 0.1).unwrap();
+    assert_eq!(own.set_observer(Way::Momentum, 600.0, 0.1), Err(Fault::Setting));
+    let (mut tau, mut expected) = ([0.0; 7], [0.0; 7]);
+    for k in 0..200 {
+        let t = f64::from(k) * 1e-3;
+        let (q, dq) = ([0.3 * (2.0 * t).sin(); 7], [0.6 * (2.0 * t).cos(); 7]);
+        own.torque(&q, &dq, &[0.0; 7], None, &mut tau).unwrap();
+        other.torque(&q, &dq, &[0.0; 7], None, &mut expected).unwrap();
+        assert_eq!(tau, expected);
+        tau[1] += 40.0;
+        let found = own.external(&q, &dq, &tau).unwrap();
+        let padded = |values: &[f64; 7]| std::array::from_fn(|j| values.get(j).copied().unwrap_or_default());
+        assert_eq!(found, observer.next(&padded(&q), &padded(&dq), &padded(&tau)));
+        assert_eq!(found.settled, k >= 40, "{k}");
+    }
+    assert_eq!(own.external(&[0.0; 6], &[0.0; 7], &tau), Err(Fault::Length { expected: 7, found: 6 }));
+    assert_eq!(own.external(&[f64::NAN; 7], &[0.0; 7], &tau), Err(Fault::NotFinite));
+
+    let without = TorqueUncertainty { residual_spectrum: None, ..uncertainty.clone() };
+    let mut without = load("no-spectrum", &ModelFile { uncertainty: Some(without), ..of }, WALL).unwrap();
+    assert_eq!(without.external(&[0.0; 7], &[0.0; 7], &tau), Err(Fault::NoUncertainty));
+    without.torque_std(&[0.0; 7], &[0.0; 7], &[0.0; 7], &mut tau).unwrap();
+}
+
 #[test]
 fn calls_in_the_loop_do_not_allocate() {
     let mut model = load("allocation", &file(model("panda", 8, &[presliding()])), WALL).unwrap();
@@ -183,6 +218,9 @@ fn calls_in_the_loop_do_not_allocate() {
             count(model.inertia(q, &mut matrix));
             count(model.regressor(q, dq, ddq, &mut y));
             count(model.torque_std(q, dq, ddq, &mut tau));
+            count(model.external(q, dq, &tau).map(|_| ()));
+            count(model.set_observer(Way::Acceleration, 30.0, 1.0));
+            count(model.external(q, dq, &tau).map(|_| ()));
             failed += u32::from(model.status().model == 0);
         }
     });

@@ -2,6 +2,7 @@
 
 use assert_no_alloc::{assert_no_alloc, violation_count};
 use nalgebra::DMatrix;
+use plumbline_identify::external::ResidualSpectrum;
 use plumbline_identify::{Spread, TorqueUncertainty};
 use plumbline_model::term::effect::{Site, Spec, assemble};
 use plumbline_model::{Mounting, Reduction, Structure, TorqueModel};
@@ -26,12 +27,19 @@ pub fn model(robot: &str, seed: u64, effects: &[Spec]) -> TorqueModel {
     TorqueModel::new(robot, structure, vec![Mounting::WALL], &values).unwrap()
 }
 
-/// A file of `model`, with variances of 0.01 and correlations of 0.5.
+/// A file of `model`, with variances of 0.01 and correlations of 0.5, and a white residual of 0.1 Nm.
 pub fn file(model: TorqueModel) -> ModelFile {
     let (p, n) = (model.parameters().len(), model.structure().chain().len());
     let covariance = DMatrix::from_fn(p, p, |c, d| if c == d { 0.1 * 0.1 } else { 0.5 * 0.1 * 0.1 });
     let parameters = Spread { covariance, freedom: vec![100.0; p] };
-    let uncertainty = TorqueUncertainty { parameters, residual_std: vec![0.1; n], residual_freedom: 1000.0 };
+    let bands = ResidualSpectrum::bands(1000.0);
+    let power: Vec<f64> = bands.map(|[low, high]| 0.1 * 0.1 * (high - low) / 500.0).collect();
+    let uncertainty = TorqueUncertainty {
+        parameters,
+        residual_std: vec![0.1; n],
+        residual_freedom: 1000.0,
+        residual_spectrum: Some(ResidualSpectrum { rate: 1000.0, power: vec![power; n] }),
+    };
     let (noise_floor, validation, provenance) = (Vec::new(), Vec::new(), Provenance::default());
     ModelFile { model, noise_floor, validation, uncertainty: Some(uncertainty), consistent: None, provenance }
 }

@@ -26,24 +26,36 @@ pub struct Butterworth {
     rate: f64,
 }
 
+impl Section {
+    /// Section `i` of `order / 2`.
+    fn new(i: usize, order: usize, cutoff: f64, rate: f64) -> Section {
+        let k = (PI * cutoff / rate).tan();
+        let damping = 2.0 * (PI * (2 * i + 1) as f64 / (2 * order) as f64).sin();
+        let scale = 1.0 / (1.0 + damping * k + k * k);
+        Section { b0: k * k * scale, a1: 2.0 * (k * k - 1.0) * scale, a2: (1.0 - damping * k + k * k) * scale }
+    }
+}
+
+fn check_cutoff(cutoff: f64, rate: f64) -> Result<(), SignalError> {
+    if cutoff > 0.0 && cutoff < rate / 2.0 { Ok(()) } else { Err(SignalError::Cutoff { cutoff, nyquist: rate / 2.0 }) }
+}
+
 impl Butterworth {
     /// A low-pass of even `order` with its half-power frequency at `cutoff` \[Hz\] for signals sampled at `rate` \[Hz\].
     pub fn new(order: usize, cutoff: f64, rate: f64) -> Result<Butterworth, SignalError> {
         if !(2..=40).contains(&order) || order % 2 == 1 {
             return Err(SignalError::Order { order });
         }
-        if !(cutoff > 0.0 && cutoff < rate / 2.0) {
-            return Err(SignalError::Cutoff { cutoff, nyquist: rate / 2.0 });
-        }
-        let k = (PI * cutoff / rate).tan();
-        let sections = (0..order / 2)
-            .map(|i| {
-                let damping = 2.0 * (PI * (2 * i + 1) as f64 / (2 * order) as f64).sin();
-                let scale = 1.0 / (1.0 + damping * k + k * k);
-                Section { b0: k * k * scale, a1: 2.0 * (k * k - 1.0) * scale, a2: (1.0 - damping * k + k * k) * scale }
-            })
-            .collect();
+        check_cutoff(cutoff, rate)?;
+        let sections = (0..order / 2).map(|i| Section::new(i, order, cutoff, rate)).collect();
         Ok(Butterworth { sections, order, cutoff, rate })
+    }
+
+    /// `[b0, a1, a2]` of the low-pass of second order, as [`Butterworth::coefficients`]. Does not allocate.
+    pub fn second_order(cutoff: f64, rate: f64) -> Result<[f64; 3], SignalError> {
+        check_cutoff(cutoff, rate)?;
+        let Section { b0, a1, a2 } = Section::new(0, 2, cutoff, rate);
+        Ok([b0, a1, a2])
     }
 
     /// `[b0, a1, a2]` of its second-order sections, `y = b0 (x + 2 x_1 + x_2) - a1 y_1 - a2 y_2`, for a forward-only filter.

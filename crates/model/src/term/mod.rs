@@ -38,7 +38,7 @@ pub mod position_ripple;
 mod presliding;
 mod quantity;
 pub mod rigid_body;
-mod rotor_inertia;
+pub mod rotor_inertia;
 pub mod spring;
 mod stribeck;
 pub(crate) mod subset;

@@ -86,7 +86,8 @@ fn with_uncertainty(mut texts: Vec<String>) -> Vec<String> {
     let p = model.model.parameters().len();
     let covariance = DMatrix::from_fn(p, p, |c, d| if c == d { 1e-4 } else { 1e-6 });
     let parameters = Spread { covariance, freedom: vec![30.0; p] };
-    let uncertainty = TorqueUncertainty { parameters, residual_std: vec![0.1; 7], residual_freedom: 5e3 };
+    let uncertainty =
+        TorqueUncertainty { parameters, residual_std: vec![0.1; 7], residual_freedom: 5e3, residual_spectrum: None };
     model.uncertainty = Some(uncertainty);
     texts.push(
         model

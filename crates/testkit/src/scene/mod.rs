@@ -2,6 +2,7 @@
 //! its parameters. Shared by the statistics of the estimators in `tests/` and `benches/`.
 
 pub mod campaign;
+pub mod external;
 pub mod lab;
 
 use nalgebra::{Cholesky, DMatrix, DVector};
