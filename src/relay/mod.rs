@@ -5,8 +5,8 @@
 //!
 //! | end | user | what |
 //! |---|---|---|
-//! | [`serve`] | the daemon's | client of the daemon: sends torque and model, publishes the states that arrive |
-//! | [`join`] | another of the group | serves torque and model to that user's clients, sends the states of that user's publisher |
+//! | [`serve()`] | the daemon's | client of the daemon: sends torque and model, publishes the states that arrive |
+//! | [`join()`] | another of the group | serves torque and model to that user's clients, sends the states of that user's publisher |
 //!
 //! No request of a user passes: a [`Frame`] that is not `States` ends the connection. Neither end is real-time.
 
@@ -40,15 +40,15 @@ const GONE: Duration = Duration::from_secs(2);
 #[derive(Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 enum Frame {
-    /// From [`serve`]: the latest feed-forward value.
+    /// From [`serve()`]: the latest feed-forward value.
     Torque(FeedForwardMessage),
-    /// From [`serve`]: the served model and the text of its file.
+    /// From [`serve()`]: the served model and the text of its file.
     Model { header: ModelHeader, text: String },
-    /// To [`serve`]: states of an arm that the user controls.
+    /// To [`serve()`]: states of an arm that the user controls.
     States(Vec<GuestMessage>),
     /// Either: nothing new.
     Alive,
-    /// From [`serve`]: why it ends the connection.
+    /// From [`serve()`]: why it ends the connection.
     Refused(String),
 }
 
