@@ -41,13 +41,12 @@ const ROBOT_FILES: &str = "crates/model/src/robot.rs";
 const IMPURE: &[&str] =
     &["std::fs", "std::io", "std::net", "std::time", "std::env", "std::process", "println!", "tracing"];
 
-/// Source files below a folder, without the unit tests that have a file of their own.
 fn sources(dir: &Path, found: &mut Vec<PathBuf>) {
     for entry in fs::read_dir(dir).unwrap() {
         let path = entry.unwrap().path();
         if path.is_dir() {
             sources(&path, found);
-        } else if path.extension().is_some_and(|extension| extension == "rs") && !path.ends_with("tests.rs") {
+        } else if path.extension().is_some_and(|extension| extension == "rs") {
             found.push(path);
         }
     }

@@ -2,6 +2,7 @@
 
 use super::*;
 use crate::recording::cdr::Encoder;
+use crate::recording::foreign::{Compression, mcap_of};
 use std::io::Write;
 
 const N: usize = 2;
@@ -142,31 +143,14 @@ fn logged(t: f64) -> u64 {
     5_002_000_000 + (t * 1e9).round() as u64
 }
 
-fn mcap(compression: Option<mcap::Compression>) -> Vec<u8> {
-    let options = mcap::WriteOptions::new().compression(compression);
-    let mut writer = options.create(std::io::Cursor::new(Vec::new())).unwrap();
-    let schema = writer.add_schema("sensor_msgs/msg/JointState", "ros2msg", b"").unwrap();
-    let other = writer.add_schema("std_msgs/msg/String", "ros2msg", b"").unwrap();
-    let channels = [(schema, "/joint_states"), (other, "/chatter")]
-        .map(|(schema, topic)| writer.add_channel(schema, topic, "cdr", &std::collections::BTreeMap::new()).unwrap());
-    for (k, sample) in samples().into_iter().enumerate() {
-        let log_time = logged(sample.0);
-        let header = |channel_id| mcap::records::MessageHeader {
-            channel_id,
-            sequence: k as u32,
-            log_time,
-            publish_time: log_time,
-        };
-        writer.write_to_known_channel(&header(channels[0]), &message(sample, true)).unwrap();
-        writer.write_to_known_channel(&header(channels[1]), &[0, 1, 0, 0]).unwrap();
-    }
-    writer.finish().unwrap();
-    writer.into_inner().into_inner()
+fn mcap(compression: Option<Compression>) -> Vec<u8> {
+    let messages: Vec<_> = samples().into_iter().map(|sample| (logged(sample.0), message(sample, true))).collect();
+    mcap_of(compression, &messages)
 }
 
 #[test]
 fn joint_states_of_an_mcap_file_are_put_in_the_arms_order() {
-    for compression in [None, Some(mcap::Compression::Zstd), Some(mcap::Compression::Lz4)] {
+    for compression in [None, Some(Compression::Zstd), Some(Compression::Lz4)] {
         let bytes = mcap(compression);
         let (_folder, path) = file("bag.mcap", &bytes);
         let found = read(&path, &wanted()).unwrap();

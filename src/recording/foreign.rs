@@ -34,3 +34,31 @@ pub fn for_each_message<E>(
     }
     Ok(())
 }
+
+#[cfg(test)]
+pub(crate) use written::{Compression, mcap_of};
+
+#[cfg(test)]
+mod written {
+    pub use mcap::Compression;
+
+    /// An MCAP file with these messages, each with its time \[ns\], as joint states, and as many of another kind.
+    pub fn mcap_of(compression: Option<Compression>, messages: &[(u64, Vec<u8>)]) -> Vec<u8> {
+        let options = mcap::WriteOptions::new().compression(compression);
+        let mut writer = options.create(std::io::Cursor::new(Vec::new())).unwrap();
+        let schema = writer.add_schema("sensor_msgs/msg/JointState", "ros2msg", b"").unwrap();
+        let other = writer.add_schema("std_msgs/msg/String", "ros2msg", b"").unwrap();
+        let channels = [(schema, "/joint_states"), (other, "/chatter")].map(|(schema, topic)| {
+            writer.add_channel(schema, topic, "cdr", &std::collections::BTreeMap::new()).unwrap()
+        });
+        for (k, (log_time, message)) in messages.iter().enumerate() {
+            let (sequence, log_time) = (k as u32, *log_time);
+            let header =
+                |channel_id| mcap::records::MessageHeader { channel_id, sequence, log_time, publish_time: log_time };
+            writer.write_to_known_channel(&header(channels[0]), message).unwrap();
+            writer.write_to_known_channel(&header(channels[1]), &[0, 1, 0, 0]).unwrap();
+        }
+        writer.finish().unwrap();
+        writer.into_inner().into_inner()
+    }
+}
