@@ -48,7 +48,7 @@ fn an_added_effect_is_listed_found_reported_and_exported() {
     assert!((parameter.value - SIZE).abs() < 0.1 * SIZE && parameter.unit == "Nms/rad2", "{parameter:?}");
     assert!(found.minimum_detectable.contains_key("made-up"));
     let page = std::fs::read_to_string(place.out().join("report.html")).unwrap();
-    for part in ["made up in joint 5", "Made up for a test", "tau_j = madeup_j q_j dq_j", "q5 [rad]"] {
+    for part in ["made up in joint 5", "Made up for a test", "tau_j = madeup_j q_j dq_j", "q5 / rad"] {
         assert!(page.contains(part), "{part} in report.html");
     }
 
