@@ -2,98 +2,26 @@
 
 use crate::analysis::checks;
 use crate::cli::say::say;
-use crate::config::units::parse_mounting;
-use crate::dataset::{Dataset, Role, Run};
 use crate::failure::Failure;
-use crate::import::{Imported, Wanted, read};
-use clap::{Args, ValueEnum};
-use plumbline_core::BadInput;
+use crate::offline::import::{self, Imported, import};
+use clap::Args;
 use plumbline_identify::check::State;
-use plumbline_model::Robot;
-use std::path::{Path, PathBuf};
 
 /// Options of `plumbline import`.
 #[derive(Args)]
+#[group(skip)]
 pub struct Options {
-    /// Recordings, one run each: CSV, npz, MCAP or rosbag2 database (.db3) with sensor_msgs/JointState
-    #[arg(required = true)]
-    files: Vec<PathBuf>,
-    /// Robot: a shipped name such as ur10e, or the path of a robot description
-    #[arg(long)]
-    robot: String,
-    /// Folder of the dataset to write
-    #[arg(long, value_name = "DIR", required_unless_present = "dry_run")]
-    out: Option<PathBuf>,
-    /// Print what was understood, make the checks, and write nothing
-    #[arg(long)]
-    dry_run: bool,
-    /// Mounting: upright, wall, ceiling, or RHO,PHI with units
-    #[arg(long, default_value = "upright")]
-    mounting: String,
-    /// The last K files are runs to validate with; by default the last 40 % of every run are held out
-    #[arg(long, value_name = "K", default_value_t = 0)]
-    validate: usize,
-    /// Period of motions that repeat in s
-    #[arg(long, value_name = "S")]
-    period: Option<f64>,
-    /// Topic of the joint states, where a file has several
-    #[arg(long)]
-    topic: Option<String>,
-    /// Names of the joints in the messages, base first, where they do not tell
-    #[arg(long, value_name = "NAME,..", value_delimiter = ',')]
-    joint_names: Option<Vec<String>>,
-    /// Unit of the time of CSV and npz; by default s, or found where it counts from 1970
-    #[arg(long, value_enum)]
-    time_unit: Option<TimeUnit>,
-    /// Positions and velocities are in degrees
-    #[arg(long)]
-    degrees: bool,
-    /// Nm per unit of torque, one per joint: for currents, or torques with the other sign
-    #[arg(long, value_name = "K1,..,KN", value_delimiter = ',', allow_hyphen_values = true)]
-    torque_gain: Option<Vec<f64>>,
+    #[command(flatten)]
+    import: import::Options,
 }
 
-#[derive(Clone, Copy, ValueEnum)]
-enum TimeUnit {
-    S,
-    Ms,
-    Us,
-    Ns,
-}
-
-/// Reads the files, prints what was understood, makes the checks of `plumbline check`, and writes the dataset.
-pub fn run(options: Options) -> Result<(), Failure> {
-    let robot = Robot::load(&options.robot, None)?;
-    let n = robot.chain.len();
-    let wanted = options.wanted(n)?;
-    let mounting = parse_mounting("--mounting", &options.mounting)?;
-    let mut runs = Vec::new();
-    let mut at = 0.0;
-    for (index, path) in options.files.iter().enumerate() {
-        let imported = read(path, &wanted)?;
+/// Prints what was understood of the recordings and what the checks of `plumbline check` found, and writes the dataset.
+pub fn run(Options { import: options }: Options) -> Result<(), Failure> {
+    let Imported { dataset, notes, findings } = import(&options)?;
+    for (path, notes) in notes {
         say!("{}", path.display());
-        imported.notes.iter().for_each(|note| say!("  {note}"));
-        let Imported { t, q, dq, tau, .. } = imported;
-        let name = run_name(path, &runs);
-        let length = t.last().copied().unwrap_or_default();
-        let data = plumbline_identify::Run { name, t, q, dq, tau, mounting, period: options.period };
-        let role = if index + options.validate >= options.files.len() { Role::Validate } else { Role::Identify };
-        runs.push(Run { start: at, ..Run::new(data, role) });
-        at += length;
+        notes.iter().for_each(|note| say!("  {note}"));
     }
-    let mut source = toml::Table::new();
-    source.insert("program".into(), format!("plumbline {}, import", env!("CARGO_PKG_VERSION")).into());
-    let files: Vec<toml::Value> = options.files.iter().map(|path| path.display().to_string().into()).collect();
-    source.insert("files".into(), files.into());
-    let name = options.out.as_deref().and_then(Path::file_name);
-    let dataset = Dataset {
-        name: name.map_or("imported".into(), |name| name.to_string_lossy().into_owned()),
-        robot: options.robot_in_dataset()?,
-        mounting,
-        source,
-        runs,
-    };
-    let findings = checks::findings(&dataset, &robot);
     let notable = findings.iter().filter(|finding| finding.state > State::Pass);
     notable.for_each(|finding| say!("{}", checks::line(finding)));
     let failed = findings.iter().filter(|finding| finding.state == State::Fail).count();
@@ -102,63 +30,7 @@ pub fn run(options: Options) -> Result<(), Failure> {
         return Ok(());
     };
     dataset.write(out).map_err(Failure::job)?;
-    say!("{}: {} runs of {n} joints; {failed} checks failed", out.display(), dataset.runs.len());
+    let joints = dataset.runs.first().map_or(0, |run| run.data.q.ncols());
+    say!("{}: {} runs of {joints} joints; {failed} checks failed", out.display(), dataset.runs.len());
     Ok(())
-}
-
-impl Options {
-    fn wanted(&self, n: usize) -> Result<Wanted, BadInput> {
-        let count = |option: &str, found: usize| {
-            let expected = format!("{n}, one per joint of `{}`", self.robot);
-            if found == n {
-                Ok(())
-            } else {
-                Err(BadInput::new("command line", option, format!("{found} values"), expected))
-            }
-        };
-        self.joint_names.as_ref().map_or(Ok(()), |names| count("--joint-names", names.len()))?;
-        self.torque_gain.as_ref().map_or(Ok(()), |gain| count("--torque-gain", gain.len()))?;
-        if let Some(gain) = self.torque_gain.iter().flatten().find(|gain| !(gain.is_finite() && **gain != 0.0)) {
-            return Err(BadInput::new("command line", "--torque-gain", gain.to_string(), "numbers other than 0"));
-        }
-        if let Some(period) = self.period.filter(|period| !(period.is_finite() && *period > 0.0)) {
-            return Err(BadInput::new("command line", "--period", period.to_string(), "a period in s, above 0"));
-        }
-        if self.validate >= self.files.len() {
-            let expected = format!("less than the {} files: at least one to identify from", self.files.len());
-            return Err(BadInput::new("command line", "--validate", self.validate.to_string(), expected));
-        }
-        let unit = |unit: TimeUnit| match unit {
-            TimeUnit::S => 1.0,
-            TimeUnit::Ms => 1e-3,
-            TimeUnit::Us => 1e-6,
-            TimeUnit::Ns => 1e-9,
-        };
-        Ok(Wanted {
-            joints: n,
-            names: self.joint_names.clone(),
-            topic: self.topic.clone(),
-            time_unit: self.time_unit.map(unit),
-            degrees: self.degrees,
-            gain: self.torque_gain.clone(),
-        })
-    }
-
-    /// A description of the user's own is named by its whole path, because the dataset may lie elsewhere.
-    fn robot_in_dataset(&self) -> Result<String, BadInput> {
-        if !self.robot.ends_with(".toml") {
-            return Ok(self.robot.clone());
-        }
-        let whole = std::fs::canonicalize(&self.robot)
-            .map_err(|error| BadInput::new(&self.robot, "file", error, "a readable robot description"))?;
-        Ok(whole.display().to_string())
-    }
-}
-
-/// `recording.csv`, or `recording-2.csv` where another run has that name.
-fn run_name(path: &Path, before: &[Run]) -> String {
-    let stem = path.file_stem().map_or("run".into(), |stem| stem.to_string_lossy().into_owned());
-    let taken = |name: &String| before.iter().any(|run| run.data.name == *name);
-    let numbered = (1..).map(|k| if k == 1 { format!("{stem}.csv") } else { format!("{stem}-{k}.csv") });
-    numbered.into_iter().find(|name| !taken(name)).unwrap_or_default()
 }

@@ -3,6 +3,7 @@
 pub mod compare;
 pub mod diagnose;
 pub mod identify;
+pub mod import;
 pub mod payload;
 pub mod plan;
 pub mod predict;

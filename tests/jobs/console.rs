@@ -2,6 +2,8 @@
 
 use plumbline_testkit::job::*;
 use serde_json::Value;
+use std::fs::Permissions;
+use std::os::unix::fs::PermissionsExt;
 
 /// Two motions to identify from: the model of the first is waited for, the second is driven beside its identification.
 const JOB: [&str; 3] = ["excitation.trajectories=2", "output.dataset=true", "validation.mountings=[\"wall\"]"];
@@ -65,4 +67,19 @@ fn a_seeded_job_has_a_table_and_gives_the_same_numbers_twice() {
     let forced = identify(&["--force", "--quiet"]).expect_code(0);
     assert!(forced.out.is_empty() && forced.err.is_empty(), "{}", forced.output());
     assert_ne!(model(&place), before);
+
+    // `--open` gives the page to the desktop's opener, here one that writes down what it got.
+    let (opener, opened) = (place.path().join("xdg-open"), place.path().join("opened"));
+    let open = |code: i32| {
+        std::fs::write(&opener, format!("#!/bin/sh\nprintf %s \"$1\" >{}\nexit {code}\n", opened.display())).unwrap();
+        std::fs::set_permissions(&opener, Permissions::from_mode(0o755)).unwrap();
+        let mut command = plumbline();
+        command.arg("identify").arg(place.out().join("dataset")).arg("--out").arg(place.out()).args(["-q", "--open"]);
+        Done::of(command.env("PATH", format!("{}:/usr/bin:/bin", place.path().display())))
+    };
+    open(0).expect_code(0);
+    let page = place.out().join("report.html").display().to_string();
+    assert_eq!(std::fs::read_to_string(&opened).unwrap(), page);
+    let failed = open(3).expect_code(1);
+    assert!(failed.err.contains(&page) && failed.err.contains("xdg-open"), "{}", failed.output());
 }

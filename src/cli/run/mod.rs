@@ -128,7 +128,7 @@ fn one_round(options: &Options, before: Option<&Path>) -> Result<(), Failure> {
     std::fs::create_dir_all(&out).map_err(|error| Failure::job(format!("{}: {error}", out.display())))?;
     let arm_limits = connector.read_limits().map_err(Failure::job)?;
     let programme = programme::plan_or_load(&job, &robot, &out, arm_limits.as_ref())?;
-    check_room(&job, &programme, robot.chain.len(), &out)?;
+    expect_room(&out, needed(&job, &programme, robot.chain.len()), job.output.dataset)?;
 
     let ending = Ending::watch()?;
     // The inheritable lock is closed again before another process starts.
@@ -156,26 +156,29 @@ fn one_round(options: &Options, before: Option<&Path>) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Refuses to drive where the results will not fit on the disk.
-fn check_room(job: &Job, programme: &Programme, joints: usize, out: &Path) -> Result<(), Failure> {
+/// Room that the results of a job take \[bytes\].
+fn needed(job: &Job, programme: &Programme, joints: usize) -> u64 {
     let kept = |role: Role| matches!(role, Role::Identify | Role::Validate) && job.output.dataset;
     let ticks: usize = programme.motions().filter(|motion| kept(motion.role)).map(|motion| motion.ticks()).sum();
-    let needed = OTHER_BYTES + DATASET_BYTES * (ticks * joints) as u64;
+    OTHER_BYTES + DATASET_BYTES * (ticks * joints) as u64
+}
+
+/// Refuses to drive where the results will not fit on the disk.
+fn expect_room(out: &Path, needed: u64, dataset: bool) -> Result<(), Failure> {
     // A file system that does not tell its room is no reason to refuse.
     let Ok(system) = rustix::fs::statvfs(out) else { return Ok(()) };
     let free = system.f_bavail.saturating_mul(system.f_frsize);
-    if free >= needed { Ok(()) } else { Err(no_room(out, free, needed, job.output.dataset)) }
-}
-
-fn no_room(out: &Path, free: u64, needed: u64, dataset: bool) -> Failure {
+    if free >= needed {
+        return Ok(());
+    }
     let mega = |bytes: u64| bytes.div_ceil(1 << 20);
     let dataset = if dataset { "; `output.dataset = false` keeps no recordings" } else { "" };
-    Failure::job(format!(
+    Err(Failure::job(format!(
         "{}: {} MiB are free, and the results of this job take about {} MiB; nothing was driven{dataset}",
         out.display(),
         mega(free),
         mega(needed)
-    ))
+    )))
 }
 
 fn drive(
@@ -237,4 +240,20 @@ fn drive(
         estimator.child.wait().map_err(Failure::job)?;
     }
     outcome
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_job_whose_results_do_not_fit_drives_nothing() {
+        // /proc keeps no files of ours: it has no free space.
+        let refused = expect_room(Path::new("/proc"), OTHER_BYTES, true).unwrap_err();
+        let words = ["/proc: 0 MiB are free", "about 20 MiB", "nothing was driven", "`output.dataset = false`"];
+        assert!(refused.code() == 1 && words.iter().all(|word| refused.to_string().contains(word)), "{refused}");
+        let folder = tempfile::tempdir().unwrap();
+        assert!(expect_room(folder.path(), 1, true).is_ok());
+        assert!(expect_room(folder.path(), u64::MAX, false).is_err());
+    }
 }
