@@ -1,10 +1,12 @@
-//! Eigenvalues and singular values with a bound on the iterations.
+//! Eigenvalues and singular values with a bound on the iterations, and the product that normal equations are made of.
 //!
 //! nalgebra's own `svd`, `singular_values` and `symmetric_eigen` iterate until convergence, which never
 //! comes for a matrix with an entry that is not finite. Every decomposition in plumbline calls these functions (tested by `tests/walls.rs`).
 
 use nalgebra::allocator::Allocator;
-use nalgebra::{DMatrix, DVector, DefaultAllocator, Dim, DimDiff, DimSub, Dyn, OMatrix, SVD, SymmetricEigen, U1};
+use nalgebra::{
+    DMatrix, DVector, DefaultAllocator, Dim, DimDiff, DimSub, Dyn, Matrix, OMatrix, SVD, Storage, SymmetricEigen, U1,
+};
 
 /// Maximum iterations per row or column. Two or three are usual; LAPACK allows 30.
 const MAX_ITERATIONS_PER_ROW: usize = 100;
@@ -31,6 +33,14 @@ pub fn singular_values(m: DMatrix<f64>) -> Option<DVector<f64>> {
     Some(bounded(m, false)?.singular_values)
 }
 
+/// `A'B`, multiplied in blocks. nalgebra's `tr_mul` takes a dot product for each entry.
+pub fn transposed_product(
+    a: &Matrix<f64, Dyn, Dyn, impl Storage<f64, Dyn, Dyn>>,
+    b: &Matrix<f64, Dyn, Dyn, impl Storage<f64, Dyn, Dyn>>,
+) -> DMatrix<f64> {
+    a.transpose() * b
+}
+
 fn bounded(m: DMatrix<f64>, vectors: bool) -> Option<SVD<f64, Dyn, Dyn>> {
     let bound = MAX_ITERATIONS_PER_ROW * (m.nrows().min(m.ncols()) + 1);
     let finite = !m.is_empty() && m.iter().all(|value| value.is_finite());
@@ -49,7 +59,8 @@ mod tests {
         assert!((&found.singular_values - m.singular_values()).amax() < 1e-12);
         assert!((found.recompose().unwrap() - &m).amax() < 1e-12);
         assert_eq!(singular_values(m.clone()).unwrap().len(), 5);
-        let gram = m.tr_mul(&m);
+        let gram = transposed_product(&m, &m);
+        assert!((&gram - m.tr_mul(&m)).amax() < 1e-12);
         let eigen = symmetric_eigen(gram.clone()).unwrap();
         assert!((eigen.recompose() - gram).amax() < 1e-12);
         assert_eq!(singular_values(DMatrix::zeros(4, 3)).unwrap(), DVector::zeros(3));

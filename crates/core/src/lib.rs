@@ -40,7 +40,7 @@ pub use arm::{
     ArmConnector, ArmError, ArmLimits, ArmMonitor, CommandMode, ConnectOptions, Connected, Explanation, Hardware, Link,
     MeasuredGravity, ModeChange, Purpose, TimeGate,
 };
-pub use decomposition::{singular_values, svd, symmetric_eigen};
+pub use decomposition::{singular_values, svd, symmetric_eigen, transposed_product};
 pub use histogram::{Distribution, Histogram};
 pub use input::{BadInput, expectation, from_toml};
 pub use joint::{

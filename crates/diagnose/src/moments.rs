@@ -5,6 +5,7 @@
 
 use super::evidence::{Evidence, Rows};
 use nalgebra::{DMatrix, DVector};
+use plumbline_core::transposed_product;
 
 /// Of one model on all cells.
 #[derive(Clone, Debug)]
@@ -81,8 +82,7 @@ impl Columns {
         let of = |cell: &super::evidence::Cell| {
             let m = self.m[cell.joint].rows(cell.rows.start, cell.rows.len());
             let r = self.r[cell.joint].rows(cell.rows.start, cell.rows.len());
-            // Multiplied in blocks; `tr_mul` takes a dot product for each entry.
-            Moment { g: m.transpose() * m, b: m.tr_mul(&r), r2: r.norm_squared(), count: cell.rows.len() }
+            Moment { g: transposed_product(&m, &m), b: m.tr_mul(&r), r2: r.norm_squared(), count: cell.rows.len() }
         };
         let width = self.m.first().map_or(0, DMatrix::ncols);
         Moments { width, cells: evidence.cells().iter().map(of).collect() }
@@ -99,7 +99,10 @@ impl Columns {
                 continue;
             }
             let r = self.r[cell.joint].rows(cell.rows.start, cell.rows.len());
-            cells.push((index, CrossMoment { a: m.tr_mul(&c), c: c.tr_mul(&c), d: c.tr_mul(&r) }));
+            cells.push((
+                index,
+                CrossMoment { a: transposed_product(&m, &c), c: transposed_product(&c, &c), d: c.tr_mul(&r) },
+            ));
         }
         Cross { width: rows.width, cells }
     }

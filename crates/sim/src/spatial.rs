@@ -108,15 +108,23 @@ impl Inertia {
 /// `r s r'` of a symmetric `s`, one triangle of it worked out.
 fn turned(r: &Matrix3<f64>, s: &Matrix3<f64>) -> Matrix3<f64> {
     let half = r * s;
-    let at = |row: usize, column: usize| (0..3).map(|k| half[(row, k)] * r[(column, k)]).sum();
+    let at = |row: usize, column: usize| {
+        half[(row, 0)] * r[(column, 0)] + half[(row, 1)] * r[(column, 1)] + half[(row, 2)] * r[(column, 2)]
+    };
     let (xx, xy, xz, yy, yz, zz) = (at(0, 0), at(0, 1), at(0, 2), at(1, 1), at(1, 2), at(2, 2));
     Matrix3::new(xx, xy, xz, xy, yy, yz, xz, yz, zz)
 }
 
-/// `p x` every column of `m`.
+/// `p x` every column of `m`. By elements: nalgebra copies rows that are views through an iterator.
 fn crossed(p: &Vector3<f64>, m: &Matrix3<f64>) -> Matrix3<f64> {
-    let (x, y, z) = (m.row(0), m.row(1), m.row(2));
-    Matrix3::from_rows(&[p.y * z - p.z * y, p.z * x - p.x * z, p.x * y - p.y * x])
+    let mut out = Matrix3::zeros();
+    for c in 0..3 {
+        let (x, y, z) = (m[(0, c)], m[(1, c)], m[(2, c)]);
+        out[(0, c)] = p.y * z - p.z * y;
+        out[(1, c)] = p.z * x - p.x * z;
+        out[(2, c)] = p.x * y - p.y * x;
+    }
+    out
 }
 
 impl std::ops::AddAssign for Inertia {
@@ -144,9 +152,11 @@ impl Frame {
         match self.kind {
             JointKind::Revolute => {
                 let (sin, cos) = q.sin_cos();
-                let (x, y) = (self.rest.rotation.column(0), self.rest.rotation.column(1));
-                placement.rotation.set_column(0, &(x * cos + y * sin));
-                placement.rotation.set_column(1, &(y * cos - x * sin));
+                for row in 0..3 {
+                    let (x, y) = (self.rest.rotation[(row, 0)], self.rest.rotation[(row, 1)]);
+                    placement.rotation[(row, 0)] = x * cos + y * sin;
+                    placement.rotation[(row, 1)] = y * cos - x * sin;
+                }
             }
             JointKind::Prismatic => placement.origin += self.rest.rotation.column(2) * q,
         }

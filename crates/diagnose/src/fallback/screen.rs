@@ -8,6 +8,7 @@ use crate::evidence::{BAND_EDGES_HZ, Evidence};
 use crate::fit::group;
 use crate::state::State;
 use nalgebra::{DMatrix, DVector};
+use plumbline_core::transposed_product;
 
 /// Ridges that are tried, as shares of the mean square of a function.
 const RIDGE_RATIOS: [f64; 4] = [1e-4, 1e-3, 1e-2, 1e-1];
@@ -39,7 +40,7 @@ pub struct Part {
 impl Part {
     /// Of functions and a residual.
     pub fn of(c: &DMatrix<f64>, r: &DVector<f64>) -> Part {
-        Part { g: c.tr_mul(c), b: c.tr_mul(r) }
+        Part { g: transposed_product(c, c), b: c.tr_mul(r) }
     }
 
     /// Of `width` functions and no data.

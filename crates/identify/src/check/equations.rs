@@ -5,6 +5,7 @@
 
 use crate::{EstimateError, Experiment, Run, Settings};
 use nalgebra::{Cholesky, DMatrix, DVector, Vector3};
+use plumbline_core::transposed_product;
 use plumbline_model::term::Motion;
 use plumbline_model::{G, Reduction, Robot, Structure, TorqueSensing};
 
@@ -195,8 +196,7 @@ impl Fit {
 
 impl System {
     fn new(w: Vec<DMatrix<f64>>) -> System {
-        // Multiplied in blocks; `tr_mul` takes a dot product for each entry.
-        let gram = w.iter().map(|w| w.transpose() * w).collect();
+        let gram = w.iter().map(|w| transposed_product(w, w)).collect();
         System { w, gram }
     }
 

@@ -9,6 +9,7 @@ use super::linear::{Fit, Inverse, Weights, equilibrated, scale_rows};
 use super::stack::Stack;
 use crate::EstimateError;
 use nalgebra::DMatrix;
+use plumbline_core::transposed_product;
 
 /// A regressor and its instrument, both shaped as `Stack::w`.
 pub struct Pair {
@@ -34,7 +35,7 @@ pub fn solve(stack: &Stack, pairs: &[Pair], weights: &Weights) -> Result<Fit, Es
             z.column_mut(c).scale_mut(*scale);
             w.column_mut(c).scale_mut(*scale);
         }
-        normal += z.tr_mul(&w);
+        normal += transposed_product(&z, &w);
         projection += z.transpose();
     }
     let inverse = Inverse::of_normal(normal, rows)?;

@@ -10,6 +10,7 @@ use crate::experiment::{Experiment, Repeats};
 use crate::periods::NoiseOfMean;
 use crate::validate::torques;
 use nalgebra::{DMatrix, DVector};
+use plumbline_core::transposed_product;
 use plumbline_model::Structure;
 use plumbline_model::term::Motion;
 use rand::{Rng, SeedableRng};
@@ -155,7 +156,7 @@ impl Draws {
             let mut of_regressor = DMatrix::zeros(p, p);
             for draw in draws {
                 let whitened = Weights::per_joint(&sigma).apply(draw);
-                of_regressor += whitened.tr_mul(&whitened) / draws.len() as f64;
+                of_regressor += transposed_product(&whitened, &whitened) / draws.len() as f64;
             }
             let of_torque = match &experiment.noise {
                 Some(noise) => variances(noise).iter().zip(&sigma).map(|(v, s)| count as f64 * v / (s * s)).sum(),

@@ -4,6 +4,7 @@ use super::case::{Case, Injected};
 use crate::scene::DT;
 use crate::scene::lab::{self, Noise, Period};
 use nalgebra::{DMatrix, DVector};
+use plumbline_core::transposed_product;
 use plumbline_diagnose::{
     Columns, Effect, Evidence, Input, Outcome, Residual, Settings, Trial, Verdict, diagnose, inverse, mean_square,
 };
@@ -130,7 +131,7 @@ fn unabsorbed(evidence: &Evidence, structure: &Structure, trials: &[Trial], peri
     let width = m[0].ncols();
     let (mut g, mut b) = (DMatrix::zeros(width, width), DVector::zeros(width));
     for (m, r) in m.iter().zip(&r) {
-        g += m.tr_mul(m);
+        g += transposed_product(m, m);
         b += m.tr_mul(r);
     }
     let theta = inverse(&g) * b;

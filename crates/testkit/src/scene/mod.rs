@@ -8,7 +8,7 @@ pub mod lab;
 use nalgebra::{Cholesky, DMatrix, DVector};
 #[cfg(feature = "program")]
 use plumbline::dataset::{self, Role};
-use plumbline_core::{Backend, Command, JointVec, Reference, Setpoint, State};
+use plumbline_core::{Backend, Command, JointVec, Reference, Setpoint, State, transposed_product};
 use plumbline_excite::{PeriodicMotion, parse_plan};
 use plumbline_identify::Run;
 use plumbline_identify::signal::spectral::Spectral;
@@ -229,7 +229,7 @@ impl Scene {
         for (j, variance) in self.torque_variance().iter().enumerate() {
             w.rows_mut(j * samples, samples).scale_mut(1.0 / variance.sqrt());
         }
-        let information = w.tr_mul(&w) * periods as f64;
+        let information = transposed_product(&w, &w) * periods as f64;
         Cholesky::new(information).expect("an exciting motion").inverse()
     }
 }
@@ -261,7 +261,7 @@ impl Scene {
                     rows[(2 * m + 1, c)] = weight * value.im;
                 }
             }
-            information += rows.tr_mul(&rows) * periods as f64;
+            information += transposed_product(&rows, &rows) * periods as f64;
         }
         Cholesky::new(information).expect("an exciting motion").inverse()
     }
