@@ -174,7 +174,7 @@ mod tests {
             x[j] = 0.7 * x[j] + unit + if j == 1 { 0.8 * x[0] } else { 0.0 };
             x[j]
         });
-        let averaged = average(&values.transpose(), &vec![samples as f64 / 240.0; 240], samples, 0.1);
+        let averaged = average(&values.transpose(), &vec![samples as f64 / 240.0; 240], &[], samples, 0.1);
         let gain = |f: f64| 1.0 / (1.0 + f * f);
         let noise = NoiseOfMean::of(&averaged.deviations, samples, 0.1, gain);
         let (b, at) = map();
@@ -205,7 +205,7 @@ mod tests {
         let samples = 40;
         let mut rng = ChaCha8Rng::seed_from_u64(4);
         let values = DMatrix::from_fn(5 * samples, 2, |_, _| rng.sample::<f64, _>(StandardNormal));
-        let averaged = average(&values, &vec![samples as f64 / 200.0; 200], samples, 0.1);
+        let averaged = average(&values, &vec![samples as f64 / 200.0; 200], &[], samples, 0.1);
         let noise = NoiseOfMean::of(&averaged.deviations, samples, 0.1, |_| 1.0);
         // One parameter at a single frequency (two sides, four periods beyond the mean, in each of two joints), one at all of them.
         let at: Vec<usize> = (0..samples).collect();

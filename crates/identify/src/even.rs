@@ -2,13 +2,13 @@
 
 use super::EstimateError;
 use super::faults::{interpolate, spoiled};
-use super::periods::{Scatter, average, weights};
+use super::periods::{Scatter, average, fill, weights};
 use super::run::Run;
 use super::settings::Settings;
 use super::settling::settling;
 use super::signal::SignalError;
-use super::signal::resample::{Sampling, resample};
-use nalgebra::{DMatrix, DMatrixView};
+use super::signal::resample::{MAX_CURVE_S, Sampling, resample};
+use nalgebra::DMatrix;
 
 /// Longest stretch of lost or replaced samples of an aperiodic run that enters the regression \[s\].
 const MAX_LINE_S: f64 = 0.02;
@@ -74,7 +74,7 @@ impl Even {
                 lines.iter_mut().zip(own).for_each(|(all, own)| *all |= own);
             }
             return Ok(Even {
-                long_lines: long_stretches(lines, even.sampling.dt),
+                long_lines: long_stretches(lines, even.sampling.dt, MAX_LINE_S),
                 values: even.values,
                 sampling: even.sampling,
                 periodic: false,
@@ -108,17 +108,26 @@ impl Even {
         let mut left_out = vec![false; rest.nrows()];
         settings.left_out(&run.name).for_each(|one| one.mark(&mut left_out, first, dt));
         let mut filled = even.filled[first..found * samples].to_vec();
-        if let Some(measured) = measured {
-            let measured = resample(&run.t, &measured, Some(dt)).map_err(signal)?.values;
-            let measured = measured.rows(first, rest.nrows());
-            for (column, rows) in &spoiled {
-                let rows = on_grid(rows, &run.t, even.values.nrows(), dt);
-                let rows = &rows[first..found * samples];
-                count(*column, take_from_other_periods(&mut rest, &measured, *column, rows, samples));
-            }
-        }
         let settling = settling(&rest.columns(0, n).into_owned(), &left_out, samples, dt);
         left_out[..settling].fill(true);
+        // What is lost for longer is no motion between its ends.
+        let long = long_stretches(filled.clone(), dt, MAX_CURVE_S);
+        left_out.iter_mut().zip(&long).for_each(|(left_out, long)| *left_out |= long);
+        let measured = measured.map(|measured| resample(&run.t, &measured, Some(dt)).map_err(signal)).transpose()?;
+        for column in 0..rest.ncols() {
+            let spoiled = spoiled.iter().find(|(own, _)| *own == column).map(|(_, rows)| {
+                on_grid(rows, &run.t, even.values.nrows(), dt)[first..found * samples].to_vec()
+            });
+            let mut missing = filled.clone();
+            spoiled.iter().flatten().zip(&mut missing).for_each(|(spoiled, missing)| *missing |= spoiled);
+            let found = fill(rest.column_mut(column).as_mut_slice(), &missing, &left_out, samples);
+            let (Some(spoiled), Some(measured)) = (spoiled, &measured) else { continue };
+            count(column, (0..spoiled.len()).filter(|&row| spoiled[row] && found[row]).count());
+            // What every period does is measured.
+            for row in (0..spoiled.len()).filter(|&row| spoiled[row] && !found[row]) {
+                rest[(row, column)] = measured.values[(first + row, column)];
+            }
+        }
         let mut periods: Vec<usize> = (skipped..found).collect();
         // Periods that are excluded as a whole are removed.
         let gone = left_out.chunks(samples).enumerate().filter(|(_, period)| period.iter().all(|left_out| *left_out));
@@ -132,8 +141,8 @@ impl Even {
         if periods.is_empty() {
             return Err(EstimateError::Periods { run: run.name.clone(), found, skipped: found, period });
         }
-        let weights = weights(&filled, &left_out, samples, dt);
-        let averaged = average(&rest, &weights, samples, dt);
+        let weights = weights(&left_out, samples, dt);
+        let averaged = average(&rest, &weights, &filled, samples, dt);
         Ok(Even {
             periods,
             weights,
@@ -161,27 +170,9 @@ fn on_grid(rows: &[bool], t: &[f64], samples: usize, dt: f64) -> Vec<bool> {
     grid
 }
 
-/// Replaces samples of a column by the mean of the other periods at the same place, and returns how many. What every period does is `measured`.
-fn take_from_other_periods(
-    values: &mut DMatrix<f64>,
-    measured: &DMatrixView<f64>,
-    column: usize,
-    spoiled: &[bool],
-    samples: usize,
-) -> usize {
-    let mut replaced = 0;
-    for row in (0..spoiled.len()).filter(|&row| spoiled[row]) {
-        let others = (row % samples..spoiled.len()).step_by(samples).filter(|&other| !spoiled[other]);
-        let (sum, count) = others.fold((0.0, 0.0), |(sum, count), other| (sum + values[(other, column)], count + 1.0));
-        replaced += usize::from(count > 0.0);
-        values[(row, column)] = if count > 0.0 { sum / count } else { measured[(row, column)] };
-    }
-    replaced
-}
-
-/// Stretches that are too long for the line across them to be the signal.
-fn long_stretches(mut out: Vec<bool>, dt: f64) -> Vec<bool> {
-    let least = (MAX_LINE_S / dt).ceil() as usize;
+/// Stretches that are longer than `most` \[s\].
+fn long_stretches(mut out: Vec<bool>, dt: f64, most: f64) -> Vec<bool> {
+    let least = (most / dt).ceil() as usize;
     for stretch in out.chunk_by_mut(|a, b| a == b) {
         if stretch.len() <= least {
             stretch.fill(false);

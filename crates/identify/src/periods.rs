@@ -5,8 +5,6 @@ use super::signal::time_to_nearest;
 use nalgebra::DMatrix;
 use realfft::num_complex::Complex;
 
-/// Least sum of the weights of measured rows for which interpolated ones are not used.
-const MIN_MEASURED_WEIGHT: f64 = 0.1;
 /// Time over which a period fades out of the mean before samples that are left out, and in after them \[s\].
 const FADE_S: f64 = 0.5;
 
@@ -45,8 +43,8 @@ pub struct Scatter {
 }
 
 /// Averages `values` (rows in time) over its whole periods of `samples` rows with these [`weights`]; a partial period at the end is ignored. There
-/// must be at least one whole period. `dt`: time between samples \[s\].
-pub fn average(values: &DMatrix<f64>, weights: &[f64], samples: usize, dt: f64) -> Averaged {
+/// must be at least one whole period. Rows that are `filled` tell nothing of the scatter. `dt`: time between samples \[s\].
+pub fn average(values: &DMatrix<f64>, weights: &[f64], filled: &[bool], samples: usize, dt: f64) -> Averaged {
     let periods = values.nrows() / samples;
     assert!(periods > 0, "no whole period of {samples} samples in {}", values.nrows());
     let columns = values.ncols();
@@ -58,8 +56,56 @@ pub fn average(values: &DMatrix<f64>, weights: &[f64], samples: usize, dt: f64) 
     let deviations = DMatrix::from_fn(periods * samples, columns, |row, c| {
         if counted[row] { values[(row, c)] - mean[(row % samples, c)] } else { 0.0 }
     });
-    let scatter = Some(Scatter::of(&deviations, &counted, samples, dt));
+    let mut measured = deviations.clone();
+    let mut told = counted.clone();
+    for row in (0..filled.len().min(told.len())).filter(|&row| filled[row]) {
+        measured.row_mut(row).fill(0.0);
+        told[row] = false;
+    }
+    let scatter = Some(Scatter::of(&measured, &told, samples, dt));
     Averaged { mean, scatter, deviations, counted }
+}
+
+/// Puts into rows of a column that are `missing` what the other periods have there, with the period's own deviation from them on both sides of the gap:
+/// the mean over the periods must not jump where one of them is missing, for a step in positions is a blow in their accelerations. Rows that are
+/// `left_out` are not taken. Returns whether each missing row was filled.
+pub fn fill(values: &mut [f64], missing: &[bool], left_out: &[bool], samples: usize) -> Vec<bool> {
+    let rows = values.len();
+    let mut filled = vec![false; rows];
+    let mut first = 0;
+    while first < rows {
+        if !missing[first] {
+            first += 1;
+            continue;
+        }
+        let end = (first..rows).find(|&row| !missing[row]).unwrap_or(rows);
+        let edges = [first.checked_sub(1), Some(end).filter(|&row| row < rows)];
+        let needed = || (first..end).chain(edges.into_iter().flatten());
+        let shifted = |period: usize, row: usize| {
+            (row + period * samples).checked_sub(first / samples * samples).filter(|&other| other < rows)
+        };
+        let has = |&period: &usize| {
+            let usable = |row| shifted(period, row).is_some_and(|other| !missing[other] && !left_out[other]);
+            period != first / samples && needed().all(usable)
+        };
+        let donors: Vec<usize> = (0..rows / samples).filter(has).collect();
+        let mean = |values: &[f64], row: usize| {
+            let sum: f64 = donors.iter().filter_map(|&period| shifted(period, row)).map(|other| values[other]).sum();
+            sum / donors.len() as f64
+        };
+        if !donors.is_empty() {
+            let deviations = edges.map(|edge| edge.map(|row| values[row] - mean(values, row)));
+            let [left, right] = [0, 1].map(|side| deviations[side].or(deviations[1 - side]).unwrap_or(0.0));
+            let length = (end - first + 1) as f64;
+            for row in first..end {
+                let share = (row - first + 1) as f64 / length;
+                values[row] = mean(values, row) + left + share * (right - left);
+                filled[row] = true;
+            }
+        }
+        first = end;
+    }
+    filled
 }
 
 /// Mean of periods of `samples` rows with these [`weights`], samples x columns.
@@ -75,20 +121,15 @@ pub fn mean(values: &DMatrix<f64>, weights: &[f64], samples: usize) -> DMatrix<f
 
 /// Weight of every row in the mean over its periods, one in sum for each sample of a period.
 ///
-/// `filled` rows were interpolated: they count where no period has another one. Rows that are `left_out` count nowhere but where all periods are.
-/// Periods differ a little, so a period fades out before rows that are left out and in after them: a step in the mean of the positions would be a
+/// Rows that are `left_out` count nowhere but where all periods are. Periods differ a little, so a period fades out before rows that are left out and in after them: a step in the mean of the positions would be a
 /// blow in its accelerations. The end of the record adjoins its start, as the end of the mean does.
-pub fn weights(filled: &[bool], left_out: &[bool], samples: usize, dt: f64) -> Vec<f64> {
+pub fn weights(left_out: &[bool], samples: usize, dt: f64) -> Vec<f64> {
     let periods = left_out.len() / samples;
     let times = time_to_nearest(periods * samples, dt, true, |row| left_out[row]);
     let quintic = |x: f64| x.powi(3) * (10.0 - 15.0 * x + 6.0 * x * x);
     let mut weights: Vec<f64> = times.into_iter().map(|time| quintic((time / FADE_S).min(1.0))).collect();
     for k in 0..samples {
         let own = || (0..periods).map(|p| p * samples + k);
-        let measured: f64 = own().filter(|&row| !filled[row]).map(|row| weights[row]).sum();
-        if measured > MIN_MEASURED_WEIGHT {
-            own().filter(|&row| filled[row]).for_each(|row| weights[row] = 0.0);
-        }
         let total: f64 = own().map(|row| weights[row]).sum();
         own().for_each(|row| weights[row] = if total > 0.0 { weights[row] / total } else { 1.0 / periods as f64 });
     }
@@ -293,7 +334,7 @@ mod tests {
             // Column by column, so that the coloured process runs in time.
             values.set_column(c, &record(5 + c as u64, periods, samples).column(c));
         }
-        let averaged = average(&values, &equal(periods, samples), samples, 1e-3);
+        let averaged = average(&values, &equal(periods, samples), &[], samples, 1e-3);
         let scatter = averaged.scatter.unwrap();
         assert_eq!(scatter.periods, periods);
         assert!((scatter.std[0] / 0.05 - 1.0).abs() < 0.02, "{:?}", scatter.std);
@@ -309,31 +350,33 @@ mod tests {
     }
 
     #[test]
-    fn interpolated_samples_are_ignored() {
+    fn a_gap_has_what_the_other_periods_have_and_its_own_deviation() {
+        // The third of four periods is above the others, more and more. The second and the fourth lack the same sample, the first is left out there.
         let samples = 20;
-        let mut values = DMatrix::from_fn(60, 1, |k, _| (k % samples) as f64);
-        let mut filled = vec![false; 60];
-        values[(25, 0)] = 1e6;
-        filled[25] = true;
-        let averaged = average(&values, &weights(&filled, &[false; 60], samples, 0.1), samples, 0.1);
-        assert!((0..samples).all(|k| (averaged.mean[(k, 0)] - k as f64).abs() < 1e-12));
-        assert!(averaged.scatter.unwrap().std[0] < 1e-12);
-    }
-
-    #[test]
-    fn a_gap_is_filled_from_the_period_that_has_it_and_not_from_one_that_is_left_out() {
-        let (samples, dt) = (2000, 1e-3);
-        // The first period is another motion and left out; the second lacks a sample, which was interpolated.
-        let values = DMatrix::from_fn(2 * samples, 1, |k, _| if k < samples { 1.0 } else { 0.0 });
-        let (mut filled, mut left_out) = (vec![false; 2 * samples], vec![false; 2 * samples]);
-        left_out[..800].fill(true);
-        filled[samples + 500] = true;
-        filled[1400] = true;
-        let weights = weights(&filled, &left_out, samples, dt);
-        let mean = mean(&values, &weights, samples);
-        assert!(mean.rows(0, 800).iter().all(|value| *value == 0.0));
-        // Where both are used, the measured sample counts.
-        assert_eq!((mean[(1400, 0)], mean[(1399, 0)]), (0.0, 0.5));
+        let above = |k: usize| if k / samples == 2 { 0.1 * (k % samples) as f64 } else { 0.0 };
+        let clean: Vec<f64> = (0..80).map(|k| ((k % samples) as f64).powi(2) + above(k)).collect();
+        let (mut values, mut missing, mut left_out) = (clean.clone(), vec![false; 80], vec![false; 80]);
+        for row in [45, 46, 33, 73, 79] {
+            values[row] = 1e6;
+            missing[row] = true;
+        }
+        let filled = fill(&mut values, &missing, &left_out, samples);
+        assert_eq!(filled, missing);
+        // At the end of the record the deviation is that before the gap.
+        let apart = |row: usize| (values[row] - clean[row]).abs();
+        assert!((0..79).all(|row| apart(row) < 1e-9) && apart(79) < 0.05, "{values:?}");
+        // What was filled tells nothing of the scatter.
+        let values = DMatrix::from_vec(80, 1, values);
+        let one = average(&values, &weights(&left_out, samples, 0.1), &filled, samples, 0.1);
+        let all = average(&values, &weights(&left_out, samples, 0.1), &[], samples, 0.1);
+        assert!((&one.mean - &all.mean).amax() < 1e-12 && one.scatter.unwrap().std[0] > all.scatter.unwrap().std[0]);
+        // Nobody has it.
+        left_out[..20].fill(true);
+        left_out[40..60].fill(true);
+        let mut alone = clean;
+        (alone[33], alone[73]) = (1e6, 1e6);
+        let filled = fill(&mut alone, &missing, &left_out, samples);
+        assert!(!filled[33] && alone[33] == 1e6 && filled[79], "{filled:?}");
     }
 
     #[test]
@@ -344,7 +387,7 @@ mod tests {
         let values = DMatrix::from_fn(2 * samples, 1, |k, _| above(k));
         let mut left_out = vec![false; values.nrows()];
         left_out[..500].fill(true);
-        let mean = mean(&values, &weights(&vec![false; left_out.len()], &left_out, samples, dt), samples);
+        let mean = mean(&values, &weights(&left_out, samples, dt), samples);
         assert_eq!((mean[250], mean[2000]), (0.0, 0.5 * above(2000)));
         let ddq = |k: usize| {
             let at = |k: usize| mean[k % samples];
@@ -357,6 +400,6 @@ mod tests {
 
     #[test]
     fn one_period_has_no_scatter() {
-        assert!(average(&DMatrix::zeros(30, 1), &equal(1, 20), 20, 0.1).scatter.is_none());
+        assert!(average(&DMatrix::zeros(30, 1), &equal(1, 20), &[], 20, 0.1).scatter.is_none());
     }
 }

@@ -5,7 +5,7 @@
 //! estimated with the course (profile likelihood), for noise at the lowest frequencies is stronger than that of single samples.
 //! Score, at least [`MIN_SCORE`]: twice the gain in log likelihood, less `k ln n` for `k` parameters and `2 ln N` for `N` candidates.
 
-use super::drift::{Course, Drift, Drifting, Shared};
+use super::drift::{Along, Course, Drift, Drifting, Shared};
 use super::record::Record;
 use super::step::{self, Coming, Step};
 use nalgebra::{DMatrix, DVector};
@@ -15,10 +15,15 @@ use plumbline_model::term::effect::OperatingPoint;
 const BAND_EDGES_HZ: [f64; 8] = [0.3, 0.55, 1.05, 2.0, 4.0, 8.0, 16.0, f64::INFINITY];
 /// Highest frequency that counts \[Hz\].
 const MAX_FREQUENCY_HZ: f64 = 16.0;
-/// Time constants that the search starts from \[s\]; it stays between the first and the last.
-const START_TIME_CONSTANTS_S: [f64; 5] = [60.0, 100.0, 170.0, 290.0, 500.0];
+/// Time constants that the search starts from \[s\]; it stays between the first and the last. What warms a sensor or a whole arm is large;
+const SLOW_TIME_CONSTANTS_S: [f64; 5] = [60.0, 100.0, 170.0, 290.0, 500.0];
+/// the grease of one joint is warmed by its own friction.
+const WARMING_TIME_CONSTANTS_S: [f64; 6] = [15.0, 30.0, 60.0, 120.0, 240.0, 500.0];
 /// Least score: within a band slow noise is stronger at its lowest frequencies, where drifts and steps are.
 const MIN_SCORE: f64 = 10.0;
+/// Least ratio of what a drift with own parameters in each run does in the run in which it does least to that in which it does most: below it the
+/// runs do not have the same drift.
+const MIN_RUN_RATIO: f64 = 0.25;
 /// Rounds of weights.
 const WEIGHT_ROUNDS: usize = 3;
 /// Evaluations of the search for a time constant.
@@ -45,6 +50,8 @@ struct Trial {
     shared: Shared,
     /// Columns of each joint that it touches: joint, then run, then column; none in a run that it does not touch.
     columns: Vec<(usize, Vec<Vec<Vec<f64>>>)>,
+    /// How a drift goes along each run.
+    along: Vec<Along>,
 }
 
 impl Trial {
@@ -69,7 +76,7 @@ impl Courses {
         let mut tau = DMatrix::zeros(record.tau.nrows(), record.joints());
         for drift in &self.drifts {
             let values = &drift.values[if drift.shared == Shared::Nothing { run } else { 0 }];
-            tau += drift.what.torque(drift.course, drift.shared, values, record, operating_point);
+            tau += drift.what.torque(&drift.along[run], values, record, operating_point);
         }
         for step in self.steps.iter().filter(|step| step.run == record.experiment.name) {
             tau += &step.torque;
@@ -133,7 +140,7 @@ impl Deviations<'_> {
             let scored = drifts.iter().chain(&steps).filter(open).filter_map(|trial| {
                 let fitted = self.fit(trial, &rest)?;
                 let score = self.score(trial, &fitted, count);
-                Some((trial, fitted, score))
+                self.in_every_run(trial, &fitted).then_some((trial, fitted, score))
             });
             let Some((trial, fitted, score)) = scored.max_by(|a, b| a.2.total_cmp(&b.2)) else { break };
             let best = self.refined((trial.clone(), fitted, score), &rest, count);
@@ -170,9 +177,9 @@ impl Deviations<'_> {
             let mut known = DMatrix::zeros(record.tau.nrows(), record.joints());
             for (trial, fitted, _) in taken {
                 known += match trial.what {
-                    What::Drift(what, course) => {
+                    What::Drift(what, _) => {
                         let values = self.values(trial, fitted, run);
-                        what.torque(course, trial.shared, values, record, self.operating_point)
+                        what.torque(&trial.along[run], values, record, self.operating_point)
                     }
                     What::Step(which, row) if coming[which].run == run => {
                         coming[which].torque(record, row, fitted.theta.as_slice())
@@ -206,7 +213,8 @@ impl Deviations<'_> {
             (joint, runs)
         };
         let columns = coming.since(&self.records[coming.run], row).into_iter().map(of_joint).collect();
-        Trial { what: What::Step(which, row), width: coming.width, shared: Shared::Parameters, columns }
+        let (what, shared) = (What::Step(which, row), Shared::Parameters);
+        Trial { what, width: coming.width, shared, columns, along: Vec::new() }
     }
 
     /// Parameters of a drift in a run.
@@ -217,20 +225,23 @@ impl Deviations<'_> {
 
     fn candidates(&self) -> Vec<Trial> {
         let joints = self.rows.len();
-        let courses: Vec<Course> = [Course::Linear]
-            .into_iter()
-            .chain(START_TIME_CONSTANTS_S.map(|time| Course::Saturating { time }))
-            .collect();
+        let slow = SLOW_TIME_CONSTANTS_S.map(|time| Course::Saturating { time });
+        let courses: Vec<Course> = [Course::Linear].into_iter().chain(slow).collect();
+        let warming = WARMING_TIME_CONSTANTS_S.map(|time| Course::Warming { time });
         let mut what: Vec<Drifting> = (0..joints).flat_map(|j| [Drifting::Offset(j), Drifting::Friction(j)]).collect();
         if self.operating_point.friction.len() == joints {
             what.push(Drifting::AllFriction);
         }
         let mut trials = Vec::new();
         for what in what {
-            for &course in &courses {
+            let of_joint = warming.iter().filter(|_| what.warm_joint().is_some());
+            for &course in courses.iter().chain(of_joint) {
                 let own = self.trial(what, course, Shared::Parameters);
                 if self.records.len() > 1 {
-                    trials.push(Trial { shared: Shared::Nothing, ..own.clone() });
+                    // Warmth gives a joint the same friction in every run.
+                    if !matches!(course, Course::Warming { .. }) {
+                        trials.push(Trial { shared: Shared::Nothing, ..own.clone() });
+                    }
                     // The deviations of a linear course are the same on both clocks.
                     if course != Course::Linear {
                         trials.push(self.trial(what, course, Shared::Course));
@@ -243,18 +254,19 @@ impl Deviations<'_> {
     }
 
     fn trial(&self, what: Drifting, course: Course, shared: Shared) -> Trial {
-        let columns = |joint: usize, record: &Record| -> Vec<Vec<f64>> {
+        let along = course.along(what.warm_joint().unwrap_or(0), shared, self.records, self.operating_point);
+        let columns = |joint: usize, (record, along): (&Record, &Along)| -> Vec<Vec<f64>> {
             let column = |shape: &Vec<f64>| {
-                let at = |row: usize| shape[row % record.samples] * course.at(shared.time(record, row));
+                let at = |row: usize| shape[row % record.samples] * along.at_row(record, row);
                 let mut x: Vec<f64> = (0..record.tau.nrows()).map(at).collect();
                 record.centre(&mut x);
                 record.coefficients(joint, &x, highest(record))
             };
             what.shapes(joint, &record.motion, self.operating_point).iter().map(column).collect()
         };
-        let of_joint = |joint| (joint, self.records.iter().map(|record| columns(joint, record)).collect());
+        let of_joint = |joint| (joint, self.records.iter().zip(&along).map(|run| columns(joint, run)).collect());
         let columns = what.joints(self.rows.len()).into_iter().map(of_joint).collect();
-        Trial { what: What::Drift(what, course), width: what.parameters().len(), shared, columns }
+        Trial { what: What::Drift(what, course), width: what.parameters().len(), shared, columns, along }
     }
 
     /// Squares of a joint's coefficients in each band, with how many independent ones there are.
@@ -312,6 +324,25 @@ impl Deviations<'_> {
         })
     }
 
+    /// Whether a drift with own parameters in each run is one: in all of them alike in sign and about as strong.
+    fn in_every_run(&self, trial: &Trial, fitted: &Fitted) -> bool {
+        if trial.common() {
+            return true;
+        }
+        let [(_, columns)] = &trial.columns[..] else { return true };
+        let strength = |(run, own): (usize, &Vec<Vec<f64>>)| {
+            let values = self.values(trial, fitted, run);
+            let at = |row: usize| own.iter().zip(values).map(|(column, value)| value * column[row]).sum::<f64>();
+            let rows = own.first().map_or(0, Vec::len);
+            let mean_square = (0..rows).map(|row| at(row).powi(2)).sum::<f64>() / rows.max(1) as f64;
+            (values.first().copied().unwrap_or(0.0).signum(), mean_square.sqrt())
+        };
+        let of_runs: Vec<(f64, f64)> = columns.iter().enumerate().map(strength).collect();
+        let alike = of_runs.windows(2).all(|pair| pair[0].0 == pair[1].0);
+        let most = of_runs.iter().map(|run| run.1).fold(0.0, f64::max);
+        alike && of_runs.iter().all(|run| run.1 >= MIN_RUN_RATIO * most)
+    }
+
     fn score(&self, trial: &Trial, fitted: &Fitted, candidates: usize) -> f64 {
         let parameters = (fitted.theta.len() + trial.what.settings()) as f64;
         fitted.evidence - parameters * self.count.ln() - 2.0 * (candidates as f64).ln()
@@ -319,14 +350,18 @@ impl Deviations<'_> {
 
     /// The time constant where the likelihood is largest, near where it is.
     fn refined(&self, best: (Trial, Fitted, f64), rows: &[Rows], candidates: usize) -> (Trial, Fitted, f64) {
-        let What::Drift(what, Course::Saturating { time }) = best.0.what else { return best };
-        let limit =
-            |time: f64| time.clamp(START_TIME_CONSTANTS_S[0], START_TIME_CONSTANTS_S[START_TIME_CONSTANTS_S.len() - 1]);
-        let (mut low, mut high) = (limit(time / 1.7).ln(), limit(time * 1.7).ln());
+        let What::Drift(what, course) = best.0.what else { return best };
+        let Some(time) = course.time() else { return best };
+        let all: &[f64] = match course {
+            Course::Warming { .. } => &WARMING_TIME_CONSTANTS_S,
+            _ => &SLOW_TIME_CONSTANTS_S,
+        };
+        let limit = |time: f64| time.clamp(all[0], all[all.len() - 1]);
+        let (mut low, mut high) = (limit(time / 2.0).ln(), limit(time * 2.0).ln());
         let mut best = best;
         let ratio = (5.0_f64.sqrt() - 1.0) / 2.0;
         let mut at = |log: f64| {
-            let trial = self.trial(what, Course::Saturating { time: log.exp() }, best.0.shared);
+            let trial = self.trial(what, course.with_time(log.exp()), best.0.shared);
             let Some(fitted) = self.fit(&trial, rows) else { return f64::NEG_INFINITY };
             let score = self.score(&trial, &fitted, candidates);
             if score > best.2 {
@@ -356,13 +391,14 @@ impl Deviations<'_> {
         let sets = |values: &[f64]| values.chunks(trial.width).map(<[f64]>::to_vec).collect();
         let (mut squares, mut rows) = (vec![0.0; self.rows.len()], 0);
         for (run, record) in self.records.iter().enumerate() {
-            let tau = what.torque(course, trial.shared, self.values(trial, &fitted, run), record, self.operating_point);
+            let tau = what.torque(&trial.along[run], self.values(trial, &fitted, run), record, self.operating_point);
             rows += tau.nrows();
             squares.iter_mut().zip(squares_about_mean(record, &tau)).for_each(|(sum, square)| *sum += square);
         }
         Drift {
             what,
             course,
+            along: trial.along.clone(),
             shared: trial.shared,
             values: sets(fitted.theta.as_slice()),
             std: sets(&std),

@@ -4,7 +4,9 @@
 //!
 //!   offset     `tau_j += a g(t)`
 //!   friction   `tau_j += g(t) (b tanh(100 dq_j) + c dq_j)`, or in all joints `tau_j += s g(t) (fc_j tanh(100 dq_j) + fv_j dq_j)`
-//!   course     `g = t` in minutes, or `g = 1 - exp(-t / T)`
+//!   course     `g = t` in minutes, or `g = 1 - exp(-t / T)`, or the warmth that a joint's own friction gives it,
+//!              `T dg/dt = p / mean p - g` with the dissipated power `p = |(fc tanh(100 dq_j) + fv dq_j) dq_j|`, from `g = 0` on; between two runs
+//!              `p = 0`. For a power that does not change that is `1 - exp(-t / T)`.
 
 use super::record::Record;
 use nalgebra::DMatrix;
@@ -12,7 +14,7 @@ use plumbline_identify::Experiment;
 use plumbline_model::term::Motion;
 use plumbline_model::term::effect::OperatingPoint;
 use plumbline_model::term::friction::SHARPNESS;
-use plumbline_model::term::{friction_drift, offset_drift};
+use plumbline_model::term::{friction_change, friction_drift, offset_drift};
 
 /// How a drift goes.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -24,20 +26,130 @@ pub enum Course {
         /// Time constant \[s\].
         time: f64,
     },
+    /// The warmth of a joint, of which the mean over all runs would be one in the end.
+    Warming {
+        /// Time constant \[s\].
+        time: f64,
+    },
 }
 
 impl Course {
-    /// At a time since the first sample of the run \[s\].
-    pub fn at(self, t: f64) -> f64 {
+    /// Its time constant \[s\].
+    pub fn time(self) -> Option<f64> {
         match self {
-            Course::Linear => t / 60.0,
-            Course::Saturating { time } => 1.0 - (-t / time).exp(),
+            Course::Linear => None,
+            Course::Saturating { time } | Course::Warming { time } => Some(time),
+        }
+    }
+
+    /// Another time constant.
+    pub(super) fn with_time(self, time: f64) -> Course {
+        match self {
+            Course::Linear => self,
+            Course::Saturating { .. } => Course::Saturating { time },
+            Course::Warming { .. } => Course::Warming { time },
         }
     }
 
     pub(super) fn settings(self) -> usize {
         usize::from(self != Course::Linear)
     }
+
+    /// Along each run, in the order of `records`. `joint` is the one that warms up.
+    pub(super) fn along(
+        self,
+        joint: usize,
+        shared: Shared,
+        records: &[Record],
+        operating_point: &OperatingPoint,
+    ) -> Vec<Along> {
+        let of_time = |function: &dyn Fn(f64) -> f64| {
+            let of_run = |record: &Record| {
+                let from = if shared == Shared::Course { record.start } else { 0.0 };
+                Along::of(record, |row| function(from + record.since_begin(row)))
+            };
+            records.iter().map(of_run).collect()
+        };
+        match self {
+            Course::Linear => of_time(&|t| t / 60.0),
+            Course::Saturating { time } => of_time(&|t| -(-t / time).exp_m1()),
+            Course::Warming { time } => warmth(time, joint, shared, records, operating_point),
+        }
+    }
+}
+
+/// A course along one run.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Along {
+    /// Name of the run.
+    pub run: String,
+    /// Time of the first value since the first sample of the run, and between values \[s\].
+    times: [f64; 2],
+    values: Vec<f64>,
+}
+
+impl Along {
+    /// From the first period of the run to the last that was kept, `value` by the row of the grid.
+    fn of(record: &Record, value: impl FnMut(usize) -> f64) -> Along {
+        let periods = record.repeats.periods.last().map_or(0, |last| last + 1);
+        let values = (0..periods * record.samples).map(value).collect();
+        Along { run: record.experiment.name.clone(), times: [record.since_begin(0), record.dt], values }
+    }
+
+    /// At a row of the periods that were kept.
+    pub(super) fn at_row(&self, record: &Record, row: usize) -> f64 {
+        self.values[record.repeats.periods[row / record.samples] * record.samples + row % record.samples]
+    }
+
+    /// At a time since the first sample of the run \[s\].
+    fn at(&self, t: f64) -> f64 {
+        let place = ((t - self.times[0]) / self.times[1]).clamp(0.0, (self.values.len() - 1) as f64);
+        let (left, share) = (place.floor(), place.fract());
+        let value = |k: f64| self.values[(k as usize).min(self.values.len() - 1)];
+        value(left) + share * (value(left + 1.0) - value(left))
+    }
+
+    fn last(&self) -> f64 {
+        self.values.last().copied().unwrap_or(0.0)
+    }
+}
+
+fn warmth(
+    time: f64,
+    joint: usize,
+    shared: Shared,
+    records: &[Record],
+    operating_point: &OperatingPoint,
+) -> Vec<Along> {
+    let [fv, fc] = operating_point.friction.get(joint).copied().unwrap_or([0.0, 1.0]);
+    let power = |record: &Record| -> Vec<f64> {
+        let dissipated = |dq: &f64| ((fc * (SHARPNESS * dq).tanh() + fv * dq) * dq).abs();
+        record.motion.dq.column(joint).iter().map(dissipated).collect()
+    };
+    let powers: Vec<Vec<f64>> = records.iter().map(power).collect();
+    let seconds = |record: &Record| record.tau.nrows() as f64 * record.dt;
+    let mean = |power: &Vec<f64>| power.iter().sum::<f64>() / power.len().max(1) as f64;
+    let whole: f64 = records.iter().map(seconds).sum();
+    let scale: f64 = powers.iter().zip(records).map(|(power, record)| mean(power) * seconds(record)).sum::<f64>() / whole;
+    let mut order: Vec<usize> = (0..records.len()).collect();
+    order.sort_by(|&a, &b| records[a].start.total_cmp(&records[b].start));
+    let mut along: Vec<Option<Along>> = vec![None; records.len()];
+    let (mut warmth, mut end) = (0.0, f64::NEG_INFINITY);
+    for run in order {
+        let (record, power) = (&records[run], &powers[run]);
+        match shared {
+            Shared::Course => warmth *= (-(record.start - end).max(0.0) / time).exp(),
+            _ => warmth = 0.0,
+        }
+        let kept = (-record.dt / time).exp();
+        let own = Along::of(record, |row| {
+            warmth = kept * warmth + (1.0 - kept) * power[row % record.samples] / scale.max(f64::MIN_POSITIVE);
+            warmth
+        });
+        end = record.start + own.values.len() as f64 * record.dt;
+        along[run] = Some(own);
+    }
+    along.into_iter().flatten().collect()
 }
 
 /// What the runs of a recording share of a drift.
@@ -49,13 +161,6 @@ pub enum Shared {
     Parameters,
     /// Parameters and course, which begins with the first run.
     Course,
-}
-
-impl Shared {
-    /// Time of a row of a run on the clock of a drift's course \[s\].
-    pub(super) fn time(self, record: &Record, row: usize) -> f64 {
-        record.time(row) + if self == Shared::Course { record.start } else { 0.0 }
-    }
 }
 
 /// What drifts. Joints count from 0.
@@ -78,6 +183,14 @@ impl Drifting {
         }
     }
 
+    /// Identity of the family that names the same between two runs.
+    pub(super) fn between_runs(self) -> Option<&'static str> {
+        match self {
+            Drifting::Friction(_) => Some(friction_change::ID),
+            Drifting::Offset(_) | Drifting::AllFriction => None,
+        }
+    }
+
     /// Names and units of the parameters of a linear course, which are per minute; of the other as they would end.
     pub fn parameters(self) -> &'static [(&'static str, &'static str)] {
         match self {
@@ -91,6 +204,14 @@ impl Drifting {
         match self {
             Drifting::Offset(joint) | Drifting::Friction(joint) => vec![joint],
             Drifting::AllFriction => (0..n).collect(),
+        }
+    }
+
+    /// The joint whose warmth its course may follow.
+    pub(super) fn warm_joint(self) -> Option<usize> {
+        match self {
+            Drifting::Friction(joint) => Some(joint),
+            Drifting::Offset(_) | Drifting::AllFriction => None,
         }
     }
 
@@ -117,8 +238,7 @@ impl Drifting {
     /// What it does to a run with these parameters, P N x n \[Nm\]; the mean over the periods is not taken off.
     pub(super) fn torque(
         self,
-        course: Course,
-        shared: Shared,
+        along: &Along,
         values: &[f64],
         record: &Record,
         operating_point: &OperatingPoint,
@@ -127,7 +247,7 @@ impl Drifting {
         for joint in self.joints(record.joints()) {
             for (shape, value) in self.shapes(joint, &record.motion, operating_point).iter().zip(values) {
                 for row in 0..tau.nrows() {
-                    tau[(row, joint)] += value * shape[row % record.samples] * course.at(shared.time(record, row));
+                    tau[(row, joint)] += value * shape[row % record.samples] * along.at_row(record, row);
                 }
             }
         }
@@ -142,6 +262,8 @@ pub struct Drift {
     pub what: Drifting,
     /// How.
     pub course: Course,
+    /// How along each run.
+    pub along: Vec<Along>,
     /// What the runs share of it.
     pub shared: Shared,
     /// Parameters, one set for all runs or, where they share nothing, one per run.
@@ -159,17 +281,13 @@ pub struct Drift {
 }
 
 impl Drift {
-    /// What it does to the mean period of a run that begins at `start`, less what it does at `end`, N x n \[Nm\]. Times on the clock of its course.
-    pub(super) fn until(
-        &self,
-        end: f64,
-        experiment: &Experiment,
-        start: f64,
-        operating_point: &OperatingPoint,
-    ) -> DMatrix<f64> {
+    /// What it does to the mean period of a run, less what it does at the end of the last run, N x n \[Nm\]. Nothing in a run without repeats.
+    pub(super) fn until_the_end(&self, experiment: &Experiment, operating_point: &OperatingPoint) -> DMatrix<f64> {
         let motion = &experiment.motion;
-        let course = experiment.timeline.mean_of(|t| self.course.at(start + t) - self.course.at(end));
         let mut tau = DMatrix::zeros(motion.samples(), motion.joints());
+        let Some(along) = self.along.iter().find(|along| along.run == experiment.name) else { return tau };
+        let end = self.along.last().map_or(0.0, Along::last);
+        let course = experiment.timeline.mean_of(|t| along.at(t) - end);
         for joint in self.what.joints(motion.joints()) {
             for (shape, value) in self.what.shapes(joint, motion, operating_point).iter().zip(&self.values[0]) {
                 for (k, (shape, course)) in shape.iter().zip(&course).enumerate() {

@@ -31,7 +31,19 @@ impl Changing {
             (Verdict::Unexplained, true) => Verdict::Partly,
             (verdict, _) => verdict,
         };
-        diagnosis.effects.extend(self.drifts.iter().map(|drift| self.drift(drift)));
+        for drift in &self.drifts {
+            let mut effect = self.drift(drift);
+            // Between two runs it goes on: what one of them has more than the one before is of the same cause.
+            let same = |own: &mut Effect| {
+                drift.what.between_runs() == Some(own.id.as_str()) && own.joints == effect.joints && own.acts.is_some()
+            };
+            for of_run in diagnosis.effects.extract_if(.., same).collect::<Vec<_>>() {
+                let since = of_run.acts.map_or(String::new(), |acts| format!(" {acts}"));
+                let own = of_run.parameters.0.into_iter();
+                effect.parameters.0.extend(own.map(|one| Quantity { name: format!("{}{since}", one.name), ..one }));
+            }
+            diagnosis.effects.push(effect);
+        }
         // The search of the means has the parameters of those that it found.
         let known = |step: &Step| {
             let same = |acts: &Acts| acts.run == step.run && (acts.from - step.time).abs() < SAME_TIME_S;
@@ -52,7 +64,7 @@ impl Changing {
         };
         let form = match drift.course {
             Course::Linear => "linear",
-            Course::Saturating { .. } => "exponential",
+            Course::Saturating { .. } | Course::Warming { .. } => "exponential",
         };
         let mut parameters = Vec::new();
         for (set, (values, std)) in drift.values.iter().zip(&drift.std).enumerate() {
@@ -65,9 +77,7 @@ impl Changing {
                 parameters.push(Quantity { std: Some(*std), ..Quantity::new(name, *value, unit) });
             }
         }
-        if let Course::Saturating { time } = drift.course {
-            parameters.push(Quantity::new("T", time, "s"));
-        }
+        parameters.extend(drift.course.time().map(|time| Quantity::new("T", time, "s")));
         Effect {
             joints,
             parameters: Parameters(parameters),

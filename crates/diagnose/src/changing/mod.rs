@@ -207,11 +207,9 @@ pub fn until_the_end(
     if drifts.is_empty() {
         return None;
     }
-    let first = begin(trials);
-    let end = trials.iter().map(|trial| trial.start + trial.experiment.timeline.end()).fold(first, f64::max) - first;
     let of_run = |trial: &Trial| {
         let (samples, joints) = (trial.experiment.motion.samples(), trial.experiment.joints());
-        let torque = |drift: &&Drift| drift.until(end, trial.experiment, trial.start - first, operating_point);
+        let torque = |drift: &&Drift| drift.until_the_end(trial.experiment, operating_point);
         drifts.iter().map(torque).fold(DMatrix::zeros(samples, joints), |sum, torque| sum + torque)
     };
     Some(trials.iter().map(of_run).collect())

@@ -93,9 +93,13 @@ impl Record<'_> {
 
     /// Time of a row since the first sample of the run \[s\], in the middle of its block.
     pub fn time(&self, row: usize) -> f64 {
-        let period = self.repeats.periods[row / self.samples];
+        self.since_begin(self.repeats.periods[row / self.samples] * self.samples + row % self.samples)
+    }
+
+    /// The same of a row where all periods of the run are counted.
+    pub fn since_begin(&self, row: usize) -> f64 {
         let middle = (self.step - 1) as f64 / (2.0 * self.step as f64);
-        ((period * self.samples + row % self.samples) as f64 + middle) * self.dt
+        (row as f64 + middle) * self.dt
     }
 
     /// Lets these samples not count; whether that changes anything.

@@ -40,7 +40,7 @@ pub struct Even {
 /// Steps within which equal rows count as repeats; after more steps the arm may be at rest.
 const STALE_STEPS: f64 = 12.0;
 /// Longest gap that a cubic crosses \[s\]: a line leaves the arc of a motion by `ddq h^2 / 8`, and what is filtered and differentiated twice shows that kink.
-const MAX_CURVE_S: f64 = 0.1;
+pub const MAX_CURVE_S: f64 = 0.1;
 /// Least number of rows that a slope beside a gap is taken from.
 const SLOPE_ROWS: usize = 5;
 

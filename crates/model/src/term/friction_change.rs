@@ -5,9 +5,12 @@ use super::one_row::*;
 use super::quantity;
 use crate::torque::Parameter;
 
+/// Identity.
+pub const ID: &str = "friction-change";
+
 /// A change of one joint's viscous and Coulomb friction.
 pub static FAMILY: Family = Family {
-    id: "friction-change",
+    id: ID,
     physics: "A joint's friction has changed since the model was identified: new grease, wear, another temperature.",
     place: Place::Joint,
     forms: &[Form {

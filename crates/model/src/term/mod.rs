@@ -19,7 +19,7 @@ mod encoder_eccentricity;
 mod encoder_offset;
 mod family;
 pub mod friction;
-mod friction_change;
+pub mod friction_change;
 pub mod friction_drift;
 pub mod joint_elasticity;
 pub mod load;
