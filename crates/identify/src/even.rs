@@ -115,9 +115,10 @@ impl Even {
         left_out.iter_mut().zip(&long).for_each(|(left_out, long)| *left_out |= long);
         let measured = measured.map(|measured| resample(&run.t, &measured, Some(dt)).map_err(signal)).transpose()?;
         for column in 0..rest.ncols() {
-            let spoiled = spoiled.iter().find(|(own, _)| *own == column).map(|(_, rows)| {
-                on_grid(rows, &run.t, even.values.nrows(), dt)[first..found * samples].to_vec()
-            });
+            let spoiled = spoiled
+                .iter()
+                .find(|(own, _)| *own == column)
+                .map(|(_, rows)| on_grid(rows, &run.t, even.values.nrows(), dt)[first..found * samples].to_vec());
             let mut missing = filled.clone();
             spoiled.iter().flatten().zip(&mut missing).for_each(|(spoiled, missing)| *missing |= spoiled);
             let found = fill(rest.column_mut(column).as_mut_slice(), &missing, &left_out, samples);

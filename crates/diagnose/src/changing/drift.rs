@@ -114,13 +114,7 @@ impl Along {
     }
 }
 
-fn warmth(
-    time: f64,
-    joint: usize,
-    shared: Shared,
-    records: &[Record],
-    operating_point: &OperatingPoint,
-) -> Vec<Along> {
+fn warmth(time: f64, joint: usize, shared: Shared, records: &[Record], operating_point: &OperatingPoint) -> Vec<Along> {
     let [fv, fc] = operating_point.friction.get(joint).copied().unwrap_or([0.0, 1.0]);
     let power = |record: &Record| -> Vec<f64> {
         let dissipated = |dq: &f64| ((fc * (SHARPNESS * dq).tanh() + fv * dq) * dq).abs();
@@ -130,7 +124,8 @@ fn warmth(
     let seconds = |record: &Record| record.tau.nrows() as f64 * record.dt;
     let mean = |power: &Vec<f64>| power.iter().sum::<f64>() / power.len().max(1) as f64;
     let whole: f64 = records.iter().map(seconds).sum();
-    let scale: f64 = powers.iter().zip(records).map(|(power, record)| mean(power) * seconds(record)).sum::<f64>() / whole;
+    let scale: f64 =
+        powers.iter().zip(records).map(|(power, record)| mean(power) * seconds(record)).sum::<f64>() / whole;
     let mut order: Vec<usize> = (0..records.len()).collect();
     order.sort_by(|&a, &b| records[a].start.total_cmp(&records[b].start));
     let mut along: Vec<Option<Along>> = vec![None; records.len()];

@@ -206,6 +206,56 @@ fn a_joint_that_warms_up_from_run_to_run_has_one_drift() {
     assert!(friction(&outcome.before) > end + 0.03, "{} for {end}", friction(&outcome.before));
 }
 
+/// Friction that its own heat thins, with a time constant that is short beside the motion: one drift, whose course follows the dissipated power.
+#[test]
+fn a_joint_that_its_own_friction_warms_has_one_drift_with_a_short_time_constant() {
+    let stage = stage();
+    let [fv, fc] = stage.friction[1];
+    let drag = |dq: f64| fc * (100.0 * dq).tanh() + fv * dq;
+    let power = |dq: f64| (drag(dq) * dq).abs();
+    let all: Vec<f64> =
+        stage.periods.iter().flat_map(|(_, dq)| dq.column(1).iter().copied().collect::<Vec<_>>()).collect();
+    let mean = all.iter().map(|dq| power(*dq)).sum::<f64>() / all.len() as f64;
+    let (mut warmth, mut last) = (0.0, 0.0);
+    let runs = recorded_periods(2, 6, 6, |at, tau| {
+        // 15 s of rest between the runs.
+        warmth *= if at.t < last { f64::exp(-15.0 / 35.0) } else { 1.0 };
+        last = at.t;
+        warmth += DT / 35.0 * (power(at.dq[1]) / mean - warmth);
+        tau[1] += warmth * (-0.4 * (100.0 * at.dq[1]).tanh() - 0.3 * at.dq[1]);
+    });
+    let experiments = prepared(&runs, &kept());
+    let trials: Vec<Trial> = experiments
+        .iter()
+        .zip([0.0, 75.0])
+        .map(|(experiment, start)| Trial { experiment, session: 1, start })
+        .collect();
+    let found = changing(&stage.operating_point, &trials);
+    let [drift] = &found.drifts[..] else { panic!("{:?}", found.drifts) };
+    assert_eq!((drift.what, drift.shared, drift.values.len()), (Drifting::Friction(1), Shared::Course, 1), "{drift:?}");
+    let Course::Warming { time } = drift.course else { panic!("{drift:?}") };
+    assert!((25.0..50.0).contains(&time), "{time} s");
+    for (value, truth) in drift.values[0].iter().zip([-0.4, -0.3]) {
+        assert!((value - truth).abs() < 0.25 * truth.abs(), "{value} for {truth}");
+    }
+}
+
+/// An offset in the second half of one of two runs is no drift of the joint.
+#[test]
+fn what_one_run_alone_does_is_no_drift() {
+    let mut run = 0;
+    let mut last = 0.0;
+    let runs = recorded_periods(2, 2, 7, |at, tau| {
+        run += usize::from(at.t < last);
+        last = at.t;
+        tau[3] += if run == 1 && at.t > 11.0 { 0.3 } else { 0.0 };
+    });
+    let found = found(&runs);
+    assert!(found.drifts.is_empty(), "{:?}", found.drifts);
+    let [step] = &found.steps[..] else { panic!("{:?}", found.steps) };
+    assert!(step.spec.family == "torque-offset" && (step.time - 11.0).abs() < 1.0, "{step:?}");
+}
+
 #[test]
 fn noise_alone_raises_no_alarm() {
     for seed in 100..140 {
