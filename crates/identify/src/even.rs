@@ -114,21 +114,32 @@ impl Even {
         let long = long_stretches(filled.clone(), dt, MAX_CURVE_S);
         left_out.iter_mut().zip(&long).for_each(|(left_out, long)| *left_out |= long);
         let measured = measured.map(|measured| resample(&run.t, &measured, Some(dt)).map_err(signal)).transpose()?;
+        let whole = rest.nrows();
+        // Spoiled samples that no other period can stand in for.
+        let mut alone = vec![false; whole];
         for column in 0..rest.ncols() {
-            let spoiled = spoiled
-                .iter()
-                .find(|(own, _)| *own == column)
-                .map(|(_, rows)| on_grid(rows, &run.t, even.values.nrows(), dt)[first..found * samples].to_vec());
-            let mut missing = filled.clone();
-            spoiled.iter().flatten().zip(&mut missing).for_each(|(spoiled, missing)| *missing |= spoiled);
-            let found = fill(rest.column_mut(column).as_mut_slice(), &missing, &left_out, samples);
-            let (Some(spoiled), Some(measured)) = (spoiled, &measured) else { continue };
-            count(column, (0..spoiled.len()).filter(|&row| spoiled[row] && found[row]).count());
-            // What every period does is measured.
-            for row in (0..spoiled.len()).filter(|&row| spoiled[row] && !found[row]) {
-                rest[(row, column)] = measured.values[(first + row, column)];
+            let spoiled = spoiled.iter().find(|(own, _)| *own == column);
+            let spoiled = spoiled.map(|(_, rows)| on_grid(rows, &run.t, even.values.nrows(), dt)[first..].to_vec());
+            let is_spoiled = |row: usize| spoiled.as_ref().is_some_and(|rows| rows[row]);
+            let missing: Vec<bool> = (0..whole).map(|row| filled[row] || is_spoiled(row)).collect();
+            // What was lost for a moment follows the motion's own curve, and is good enough for others.
+            let unusable: Vec<bool> = (0..whole).map(|row| left_out[row] || is_spoiled(row)).collect();
+            let found = fill(rest.column_mut(column).as_mut_slice(), &missing, &unusable, samples);
+            let (Some(measured), true) = (&measured, spoiled.is_some()) else { continue };
+            count(column, (0..whole).filter(|&row| is_spoiled(row) && found[row]).count());
+            for row in (0..whole).filter(|&row| is_spoiled(row) && !found[row]) {
+                let mut others =
+                    (row % samples..whole).step_by(samples).filter(|&other| other != row && !left_out[other]);
+                match others.next() {
+                    // What every period does is measured.
+                    Some(other) if is_spoiled(other) && others.all(is_spoiled) => {
+                        rest[(row, column)] = measured.values[(first + row, column)];
+                    }
+                    _ => alone[row] = true,
+                }
             }
         }
+        left_out.iter_mut().zip(&alone).for_each(|(left_out, alone)| *left_out |= alone);
         let mut periods: Vec<usize> = (skipped..found).collect();
         // Periods that are excluded as a whole are removed.
         let gone = left_out.chunks(samples).enumerate().filter(|(_, period)| period.iter().all(|left_out| *left_out));

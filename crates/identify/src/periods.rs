@@ -67,9 +67,9 @@ pub fn average(values: &DMatrix<f64>, weights: &[f64], filled: &[bool], samples:
 }
 
 /// Puts into rows of a column that are `missing` what the other periods have there, with the period's own deviation from them on both sides of the gap:
-/// the mean over the periods must not jump where one of them is missing, for a step in positions is a blow in their accelerations. Rows that are
-/// `left_out` are not taken. Returns whether each missing row was filled.
-pub fn fill(values: &mut [f64], missing: &[bool], left_out: &[bool], samples: usize) -> Vec<bool> {
+/// the mean over the periods must not jump where one of them is missing, for a step in positions is a blow in their accelerations. `unusable` rows of
+/// other periods are not taken. Returns whether each missing row was filled.
+pub fn fill(values: &mut [f64], missing: &[bool], unusable: &[bool], samples: usize) -> Vec<bool> {
     let rows = values.len();
     let mut filled = vec![false; rows];
     let mut first = 0;
@@ -85,7 +85,7 @@ pub fn fill(values: &mut [f64], missing: &[bool], left_out: &[bool], samples: us
             (row + period * samples).checked_sub(first / samples * samples).filter(|&other| other < rows)
         };
         let has = |&period: &usize| {
-            let usable = |row| shifted(period, row).is_some_and(|other| !missing[other] && !left_out[other]);
+            let usable = |row| shifted(period, row).is_some_and(|other| !unusable[other]);
             period != first / samples && needed().all(usable)
         };
         let donors: Vec<usize> = (0..rows / samples).filter(has).collect();
@@ -355,27 +355,29 @@ mod tests {
         let samples = 20;
         let above = |k: usize| if k / samples == 2 { 0.1 * (k % samples) as f64 } else { 0.0 };
         let clean: Vec<f64> = (0..80).map(|k| ((k % samples) as f64).powi(2) + above(k)).collect();
-        let (mut values, mut missing, mut left_out) = (clean.clone(), vec![false; 80], vec![false; 80]);
+        let (mut values, mut missing) = (clean.clone(), vec![false; 80]);
         for row in [45, 46, 33, 73, 79] {
             values[row] = 1e6;
             missing[row] = true;
         }
-        let filled = fill(&mut values, &missing, &left_out, samples);
+        let filled = fill(&mut values, &missing, &missing, samples);
         assert_eq!(filled, missing);
         // At the end of the record the deviation is that before the gap.
         let apart = |row: usize| (values[row] - clean[row]).abs();
         assert!((0..79).all(|row| apart(row) < 1e-9) && apart(79) < 0.05, "{values:?}");
         // What was filled tells nothing of the scatter.
         let values = DMatrix::from_vec(80, 1, values);
-        let one = average(&values, &weights(&left_out, samples, 0.1), &filled, samples, 0.1);
-        let all = average(&values, &weights(&left_out, samples, 0.1), &[], samples, 0.1);
+        let weights = weights(&[false; 80], samples, 0.1);
+        let one = average(&values, &weights, &filled, samples, 0.1);
+        let all = average(&values, &weights, &[], samples, 0.1);
         assert!((&one.mean - &all.mean).amax() < 1e-12 && one.scatter.unwrap().std[0] > all.scatter.unwrap().std[0]);
         // Nobody has it.
-        left_out[..20].fill(true);
-        left_out[40..60].fill(true);
+        let mut unusable = missing.clone();
+        unusable[..20].fill(true);
+        unusable[40..60].fill(true);
         let mut alone = clean;
         (alone[33], alone[73]) = (1e6, 1e6);
-        let filled = fill(&mut alone, &missing, &left_out, samples);
+        let filled = fill(&mut alone, &missing, &unusable, samples);
         assert!(!filled[33] && alone[33] == 1e6 && filled[79], "{filled:?}");
     }
 

@@ -200,3 +200,34 @@ fn a_start_from_standstill_is_not_in_the_mean_period() {
     assert!(worst < 5e-5, "{worst}");
     assert!(experiment.repeats.unwrap().counted[..100].iter().all(|counted| !counted));
 }
+
+/// Three periods of 2 s that differ by 0.6 mrad, as where a payload is picked up after the second: lost samples and drop-outs leave the mean as it is.
+#[test]
+fn lost_samples_and_drop_outs_do_not_move_the_mean_of_periods_that_differ() {
+    let mut whole = run(Some(2.0), 6.0);
+    for k in 4000..whole.t.len() {
+        whole.q[(k, 0)] += 6e-4;
+        whole.tau[(k, 0)] += 0.5;
+    }
+    // Noise, without which no drop-out differs from a signal that is zero.
+    for (k, tau) in whole.tau.iter_mut().enumerate() {
+        *tau += 5.0 + 1e-3 * ((k * 7919 % 1000) as f64 / 500.0 - 1.0);
+    }
+    let mut torn = whole.clone();
+    // The first period is left out at this phase; the third has lost a sample within the drop-out of the second.
+    torn.tau.view_mut((2500, 0), (200, 1)).fill(0.0);
+    let lost = [600, 1300, 2900, 4580, 5200];
+    for row in lost.into_iter().rev() {
+        torn.t.remove(row);
+        (torn.q, torn.tau) = (torn.q.remove_row(row), torn.tau.remove_row(row));
+    }
+    let out = crate::ExcludedSpan { run: "test".into(), from: 0.4, to: 0.8 };
+    let settings = Settings { leave_out: vec![out], ..Settings::default() };
+    let [whole, torn] = [whole, torn].map(|run| Experiment::prepare(&run, &settings).unwrap());
+    assert_eq!((torn.sampling.missing, torn.replaced[0]), (5, 200));
+    // Where the third period stands in for the second, it is above it by what they differ on both sides.
+    assert!((&torn.tau - &whole.tau).amax() < 0.01, "{}", (&torn.tau - &whole.tau).amax());
+    assert!((&torn.motion.ddq - &whole.motion.ddq).amax() < 0.5, "{}", (&torn.motion.ddq - &whole.motion.ddq).amax());
+    let std = |experiment: &Experiment| experiment.scatter.as_ref().unwrap().std[0];
+    assert!((std(&torn) / std(&whole) - 1.0).abs() < 0.1, "{} {}", std(&torn), std(&whole));
+}
