@@ -115,7 +115,7 @@ impl Even {
         left_out.iter_mut().zip(&long).for_each(|(left_out, long)| *left_out |= long);
         let measured = measured.map(|measured| resample(&run.t, &measured, Some(dt)).map_err(signal)).transpose()?;
         let whole = rest.nrows();
-        // Spoiled samples that no other period can stand in for.
+        // Spoiled samples of which no other period has all, and some have a part.
         let mut alone = vec![false; whole];
         for column in 0..rest.ncols() {
             let spoiled = spoiled.iter().find(|(own, _)| *own == column);
@@ -130,12 +130,18 @@ impl Even {
             for row in (0..whole).filter(|&row| is_spoiled(row) && !found[row]) {
                 let mut others =
                     (row % samples..whole).step_by(samples).filter(|&other| other != row && !left_out[other]);
-                match others.next() {
-                    // What every period does is measured.
-                    Some(other) if is_spoiled(other) && others.all(is_spoiled) => {
-                        rest[(row, column)] = measured.values[(first + row, column)];
+                // What every period does, and the only one, is measured. Where the others are left out, the line across it stays.
+                let measured_again = match others.next() {
+                    None => whole == samples,
+                    Some(other) => {
+                        is_spoiled(other) && others.all(is_spoiled) || {
+                            alone[row] = true;
+                            false
+                        }
                     }
-                    _ => alone[row] = true,
+                };
+                if measured_again {
+                    rest[(row, column)] = measured.values[(first + row, column)];
                 }
             }
         }
