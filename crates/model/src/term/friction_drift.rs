@@ -10,7 +10,7 @@ pub const ID: &str = "friction-drift";
 /// A drift of one joint's friction.
 pub static FAMILY: Family = Family {
     id: ID,
-    physics: "Grease becomes thinner as the joint warms up, so that friction changes during the session. The warmth may follow the power that the joint's own friction dissipates.",
+    physics: "Grease becomes thinner as the joint warms up, in time or by what its own friction dissipates, so that friction changes.",
     place: Place::Joint,
     forms: &[
         Form {
