@@ -11,7 +11,7 @@ use plumbline_identify::check::Finding;
 use plumbline_model::Robot;
 use std::path::{Path, PathBuf};
 
-/// Options of [`import`], in the words of `plumbline import`.
+/// Options of [`import()`], in the words of `plumbline import`.
 #[derive(Args)]
 #[group(id = "import")]
 pub struct Options {
