@@ -115,35 +115,19 @@ impl Even {
         left_out.iter_mut().zip(&long).for_each(|(left_out, long)| *left_out |= long);
         let measured = measured.map(|measured| resample(&run.t, &measured, Some(dt)).map_err(signal)).transpose()?;
         let whole = rest.nrows();
-        // Spoiled samples of which no other period has all, and some have a part.
         let mut alone = vec![false; whole];
         for column in 0..rest.ncols() {
-            let spoiled = spoiled.iter().find(|(own, _)| *own == column);
-            let spoiled = spoiled.map(|(_, rows)| on_grid(rows, &run.t, even.values.nrows(), dt)[first..].to_vec());
-            let is_spoiled = |row: usize| spoiled.as_ref().is_some_and(|rows| rows[row]);
-            let missing: Vec<bool> = (0..whole).map(|row| filled[row] || is_spoiled(row)).collect();
-            // What was lost for a moment follows the motion's own curve, and is good enough for others.
-            let unusable: Vec<bool> = (0..whole).map(|row| left_out[row] || is_spoiled(row)).collect();
-            let found = fill(rest.column_mut(column).as_mut_slice(), &missing, &unusable, samples);
-            let (Some(measured), true) = (&measured, spoiled.is_some()) else { continue };
-            count(column, (0..whole).filter(|&row| is_spoiled(row) && found[row]).count());
-            for row in (0..whole).filter(|&row| is_spoiled(row) && !found[row]) {
-                let mut others =
-                    (row % samples..whole).step_by(samples).filter(|&other| other != row && !left_out[other]);
-                // What every period does, and the only one, is measured. Where the others are left out, the line across it stays.
-                let measured_again = match others.next() {
-                    None => whole == samples,
-                    Some(other) => {
-                        is_spoiled(other) && others.all(is_spoiled) || {
-                            alone[row] = true;
-                            false
-                        }
-                    }
-                };
-                if measured_again {
-                    rest[(row, column)] = measured.values[(first + row, column)];
-                }
-            }
+            let own = spoiled.iter().find(|(own, _)| *own == column).zip(measured.as_ref());
+            let mut values = rest.column_mut(column);
+            let Some(((_, rows), measured)) = own else {
+                fill(values.as_mut_slice(), &filled, &left_out, samples);
+                continue;
+            };
+            let rows = &on_grid(rows, &run.t, even.values.nrows(), dt)[first..first + whole];
+            let measured = measured.values.column(column);
+            let measured = &measured.as_slice()[first..first + whole];
+            let of_period = Missing { filled: &filled, spoiled: rows, left_out: &left_out, samples };
+            count(column, of_period.repair(values.as_mut_slice(), measured, &mut alone));
         }
         left_out.iter_mut().zip(&alone).for_each(|(left_out, alone)| *left_out |= alone);
         let mut periods: Vec<usize> = (skipped..found).collect();
@@ -174,6 +158,41 @@ impl Even {
             long_lines: Vec::new(),
             replaced,
         })
+    }
+}
+
+/// What a column of a periodic run lacks, by rows of the even grid.
+struct Missing<'a> {
+    /// Lost in all columns, for a moment: they follow the motion's own curve, and are good enough for other periods.
+    filled: &'a [bool],
+    /// Spoiled in this column.
+    spoiled: &'a [bool],
+    left_out: &'a [bool],
+    /// Samples of a period.
+    samples: usize,
+}
+
+impl Missing<'_> {
+    /// Puts into the column what the other periods have there, and returns how many spoiled samples that were. What every period does, and the only
+    /// one, is `measured`; where the others are left out, the line across it stays. Marks spoiled samples as `alone` of which some other periods have
+    /// a part and none has all.
+    fn repair(&self, values: &mut [f64], measured: &[f64], alone: &mut [bool]) -> usize {
+        let Missing { filled, spoiled, left_out, samples } = *self;
+        let either = |a: &[bool], b: &[bool]| a.iter().zip(b).map(|(a, b)| a | b).collect::<Vec<bool>>();
+        let found = fill(values, &either(filled, spoiled), &either(left_out, spoiled), samples);
+        let rows = spoiled.len();
+        let (replaced, open): (Vec<usize>, Vec<usize>) =
+            (0..rows).filter(|&row| spoiled[row]).partition(|&row| found[row]);
+        for row in open {
+            let others = || (row % samples..rows).step_by(samples).filter(|&other| other != row && !left_out[other]);
+            let (any, all_spoiled) = (others().next().is_some(), others().all(|other| spoiled[other]));
+            if any && !all_spoiled {
+                alone[row] = true;
+            } else if any || rows == samples {
+                values[row] = measured[row];
+            }
+        }
+        replaced.len()
     }
 }
 

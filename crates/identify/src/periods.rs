@@ -56,14 +56,17 @@ pub fn average(values: &DMatrix<f64>, weights: &[f64], filled: &[bool], samples:
     let deviations = DMatrix::from_fn(periods * samples, columns, |row, c| {
         if counted[row] { values[(row, c)] - mean[(row % samples, c)] } else { 0.0 }
     });
-    let mut measured = deviations.clone();
-    let mut told = counted.clone();
-    for row in (0..filled.len().min(told.len())).filter(|&row| filled[row]) {
-        measured.row_mut(row).fill(0.0);
-        told[row] = false;
-    }
-    let scatter = Some(Scatter::of(&measured, &told, samples, dt));
-    Averaged { mean, scatter, deviations, counted }
+    let scatter = if filled.contains(&true) {
+        let (mut measured, mut told) = (deviations.clone(), counted.clone());
+        for row in (0..told.len()).filter(|&row| filled[row]) {
+            measured.row_mut(row).fill(0.0);
+            told[row] = false;
+        }
+        Scatter::of(&measured, &told, samples, dt)
+    } else {
+        Scatter::of(&deviations, &counted, samples, dt)
+    };
+    Averaged { mean, scatter: Some(scatter), deviations, counted }
 }
 
 /// Puts into rows of a column that are `missing` what the other periods have there, with the period's own deviation from them on both sides of the gap:

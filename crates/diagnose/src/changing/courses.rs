@@ -227,15 +227,18 @@ impl Deviations<'_> {
         let joints = self.rows.len();
         let slow = SLOW_TIME_CONSTANTS_S.map(|time| Course::Saturating { time });
         let courses: Vec<Course> = [Course::Linear].into_iter().chain(slow).collect();
-        let warming = WARMING_TIME_CONSTANTS_S.map(|time| Course::Warming { time });
         let mut what: Vec<Drifting> = (0..joints).flat_map(|j| [Drifting::Offset(j), Drifting::Friction(j)]).collect();
         if self.operating_point.friction.len() == joints {
             what.push(Drifting::AllFriction);
         }
         let mut trials = Vec::new();
         for what in what {
-            let of_joint = warming.iter().filter(|_| what.warm_joint().is_some());
-            for &course in courses.iter().chain(of_joint) {
+            let warming = |joint| WARMING_TIME_CONSTANTS_S.map(|time| Course::Warming { joint, time });
+            let own = match what {
+                Drifting::Friction(joint) => warming(joint).to_vec(),
+                Drifting::Offset(_) | Drifting::AllFriction => Vec::new(),
+            };
+            for &course in courses.iter().chain(&own) {
                 let own = self.trial(what, course, Shared::Parameters);
                 if self.records.len() > 1 {
                     // Warmth gives a joint the same friction in every run.
@@ -254,7 +257,7 @@ impl Deviations<'_> {
     }
 
     fn trial(&self, what: Drifting, course: Course, shared: Shared) -> Trial {
-        let along = course.along(what.warm_joint().unwrap_or(0), shared, self.records, self.operating_point);
+        let along = course.along(shared, self.records, self.operating_point);
         let columns = |joint: usize, (record, along): (&Record, &Along)| -> Vec<Vec<f64>> {
             let column = |shape: &Vec<f64>| {
                 let at = |row: usize| shape[row % record.samples] * along.at_row(record, row);

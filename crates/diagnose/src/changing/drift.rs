@@ -28,6 +28,8 @@ pub enum Course {
     },
     /// The warmth of a joint, of which the mean over all runs would be one in the end.
     Warming {
+        /// The joint, from 0.
+        joint: usize,
         /// Time constant \[s\].
         time: f64,
     },
@@ -38,7 +40,7 @@ impl Course {
     pub fn time(self) -> Option<f64> {
         match self {
             Course::Linear => None,
-            Course::Saturating { time } | Course::Warming { time } => Some(time),
+            Course::Saturating { time } | Course::Warming { time, .. } => Some(time),
         }
     }
 
@@ -47,7 +49,7 @@ impl Course {
         match self {
             Course::Linear => self,
             Course::Saturating { .. } => Course::Saturating { time },
-            Course::Warming { .. } => Course::Warming { time },
+            Course::Warming { joint, .. } => Course::Warming { joint, time },
         }
     }
 
@@ -55,14 +57,8 @@ impl Course {
         usize::from(self != Course::Linear)
     }
 
-    /// Along each run, in the order of `records`. `joint` is the one that warms up.
-    pub(super) fn along(
-        self,
-        joint: usize,
-        shared: Shared,
-        records: &[Record],
-        operating_point: &OperatingPoint,
-    ) -> Vec<Along> {
+    /// Along each run, in the order of `records`.
+    pub(super) fn along(self, shared: Shared, records: &[Record], operating_point: &OperatingPoint) -> Vec<Along> {
         let of_time = |function: &dyn Fn(f64) -> f64| {
             let of_run = |record: &Record| {
                 let from = if shared == Shared::Course { record.start } else { 0.0 };
@@ -73,7 +69,7 @@ impl Course {
         match self {
             Course::Linear => of_time(&|t| t / 60.0),
             Course::Saturating { time } => of_time(&|t| -(-t / time).exp_m1()),
-            Course::Warming { time } => warmth(time, joint, shared, records, operating_point),
+            Course::Warming { joint, time } => warmth(time, joint, shared, records, operating_point),
         }
     }
 }
@@ -83,6 +79,8 @@ impl Course {
 pub struct Along {
     /// Name of the run.
     pub run: String,
+    /// Its begin, since that of the first run \[s\].
+    start: f64,
     /// Time of the first value since the first sample of the run, and between values \[s\].
     times: [f64; 2],
     values: Vec<f64>,
@@ -93,7 +91,8 @@ impl Along {
     fn of(record: &Record, value: impl FnMut(usize) -> f64) -> Along {
         let periods = record.repeats.periods.last().map_or(0, |last| last + 1);
         let values = (0..periods * record.samples).map(value).collect();
-        Along { run: record.experiment.name.clone(), times: [record.since_begin(0), record.dt], values }
+        let (run, times) = (record.experiment.name.clone(), [record.since_begin(0), record.dt]);
+        Along { run, start: record.start, times, values }
     }
 
     /// At a row of the periods that were kept.
@@ -114,11 +113,16 @@ impl Along {
     }
 }
 
-fn warmth(time: f64, joint: usize, shared: Shared, records: &[Record], operating_point: &OperatingPoint) -> Vec<Along> {
+/// Friction of a joint over one period \[Nm\]; Coulomb friction of 1 Nm where it is not known.
+fn friction(joint: usize, motion: &Motion, operating_point: &OperatingPoint) -> Vec<f64> {
     let [fv, fc] = operating_point.friction.get(joint).copied().unwrap_or([0.0, 1.0]);
+    motion.dq.column(joint).iter().map(|dq| fc * (SHARPNESS * dq).tanh() + fv * dq).collect()
+}
+
+fn warmth(time: f64, joint: usize, shared: Shared, records: &[Record], operating_point: &OperatingPoint) -> Vec<Along> {
     let power = |record: &Record| -> Vec<f64> {
-        let dissipated = |dq: &f64| ((fc * (SHARPNESS * dq).tanh() + fv * dq) * dq).abs();
-        record.motion.dq.column(joint).iter().map(dissipated).collect()
+        let friction = friction(joint, &record.motion, operating_point);
+        friction.iter().zip(record.motion.dq.column(joint).iter()).map(|(tau, dq)| (tau * dq).abs()).collect()
     };
     let powers: Vec<Vec<f64>> = records.iter().map(power).collect();
     let seconds = |record: &Record| record.tau.nrows() as f64 * record.dt;
@@ -202,14 +206,6 @@ impl Drifting {
         }
     }
 
-    /// The joint whose warmth its course may follow.
-    pub(super) fn warm_joint(self) -> Option<usize> {
-        match self {
-            Drifting::Friction(joint) => Some(joint),
-            Drifting::Offset(_) | Drifting::AllFriction => None,
-        }
-    }
-
     /// Whether both can't stand side by side.
     pub(super) fn excludes(self, other: Drifting) -> bool {
         self.family() == other.family()
@@ -223,10 +219,7 @@ impl Drifting {
         match self {
             Drifting::Offset(_) => vec![vec![1.0; motion.samples()]],
             Drifting::Friction(_) => vec![sign().collect(), dq.iter().copied().collect()],
-            Drifting::AllFriction => {
-                let [fv, fc] = operating_point.friction[joint];
-                vec![sign().zip(dq.iter()).map(|(sign, dq)| fc * sign + fv * dq).collect()]
-            }
+            Drifting::AllFriction => vec![friction(joint, motion, operating_point)],
         }
     }
 
@@ -281,7 +274,8 @@ impl Drift {
         let motion = &experiment.motion;
         let mut tau = DMatrix::zeros(motion.samples(), motion.joints());
         let Some(along) = self.along.iter().find(|along| along.run == experiment.name) else { return tau };
-        let end = self.along.last().map_or(0.0, Along::last);
+        let last = self.along.iter().max_by(|a, b| a.start.total_cmp(&b.start));
+        let end = last.map_or(0.0, Along::last);
         let course = experiment.timeline.mean_of(|t| along.at(t) - end);
         for joint in self.what.joints(motion.joints()) {
             for (shape, value) in self.what.shapes(joint, motion, operating_point).iter().zip(&self.values[0]) {
