@@ -117,9 +117,9 @@ fn effect(search: &Search, state: &State, item: usize) -> Option<EffectFigure> {
     let spec = state.items[item].spec.clone();
     let joints = spec.site.joints();
     let (&joint, &cause) = (joints.first()?, joints.last()?);
-    let (_, part) = state.items[item].rows.parts.iter().find(|(own, _)| *own == joint)?;
+    let part = state.items[item].rows.of(joint)?;
     let range = state.range(item);
-    let fitted = part * state.fit.theta.rows(range.start, range.len());
+    let fitted = &*part * state.fit.theta.rows(range.start, range.len());
     let without = state.residual(joint) + &fitted;
     let over = spec.family().ok()?.form(spec.form)?.plot_over;
     let mut variable = String::new();

@@ -44,8 +44,8 @@ pub fn minimum(search: &Search, independences: &[(&Candidate, f64)]) -> BTreeMap
             continue;
         }
         let rms = |joint: usize| {
-            let part = best.rows.parts.iter().find(|(own, _)| *own == joint);
-            part.map_or(0.0, |(_, part)| mean_square(evidence, joint, &part.column(0).into_owned()).sqrt())
+            let part = best.rows.of(joint);
+            part.map_or(0.0, |part| mean_square(evidence, joint, &part.column(0).into_owned()).sqrt())
         };
         // The joint where it shows best against the noise.
         let against = |joint: usize| rms(joint) / evidence.floor(joint).unwrap_or(1.0);

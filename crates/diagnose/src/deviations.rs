@@ -66,8 +66,10 @@ pub(super) fn slopes(
 ) -> Rows {
     let beta = DVector::from_column_slice(parameters);
     let width = item.spec.settings.len();
-    let mut rows = Rows { width, parts: Vec::new() };
-    let Some(form) = item.spec.family().ok().and_then(|family| family.form(item.spec.form)) else { return rows };
+    let mut parts: Vec<(usize, DMatrix<f64>)> = Vec::new();
+    let Some(form) = item.spec.family().ok().and_then(|family| family.form(item.spec.form)) else {
+        return Rows::new(width, parts);
+    };
     for (which, setting) in form.settings.iter().enumerate() {
         let share = setting.share(item.spec.settings[which]);
         let step = STEP_RATIO * setting.spacing();
@@ -77,16 +79,17 @@ pub(super) fn slopes(
             settings[which] = value;
             let spec = Spec { settings, ..item.spec.clone() };
             let moved = Candidate::of(evidence, operating_point, spec, item.span)?;
-            Some(moved.rows.parts.into_iter().map(|(joint, part)| (joint, part * &beta)).collect::<Vec<_>>())
+            let of = |joint: usize| Some((joint, &*moved.rows.of(joint)? * &beta));
+            Some(moved.rows.joints().filter_map(of).collect::<Vec<_>>())
         };
         let (Some(below), Some(above)) = (torque(low), torque(high)) else { continue };
         for ((joint, below), (_, above)) in below.into_iter().zip(above) {
-            let at = rows.parts.iter().position(|(own, _)| *own == joint).unwrap_or_else(|| {
-                rows.parts.push((joint, DMatrix::zeros(below.len(), width)));
-                rows.parts.len() - 1
+            let at = parts.iter().position(|(own, _)| *own == joint).unwrap_or_else(|| {
+                parts.push((joint, DMatrix::zeros(below.len(), width)));
+                parts.len() - 1
             });
-            rows.parts[at].1.set_column(which, &((above - below) / (high - low)));
+            parts[at].1.set_column(which, &((above - below) / (high - low)));
         }
     }
-    rows
+    Rows::new(width, parts)
 }

@@ -196,8 +196,8 @@ pub fn relevance(evidence: &Evidence, state: &State, tried: &Tried, item: &Candi
     let without = if tried.held { tried.fit.theta.rows(0, own).into_owned() } else { state.fit.theta.clone() };
     for joint in 0..evidence.joints() {
         let mut fitted = &state.columns.m[joint] * shift;
-        if let Some((_, part)) = item.rows.parts.iter().find(|(other, _)| *other == joint) {
-            fitted += part * gamma;
+        if let Some(part) = item.rows.of(joint) {
+            fitted += &*part * gamma;
         }
         let residual = &state.columns.r[joint] - &state.columns.m[joint] * &without;
         let left = &residual - &fitted;

@@ -36,14 +36,13 @@ impl Candidate {
     }
 
     fn with(term: &dyn Term, rows: Rows, spec: Spec, span: Span) -> Option<Candidate> {
-        let finite = rows.parts.iter().all(|(_, part)| part.iter().all(|value| value.is_finite()));
-        (finite && !rows.parts.is_empty()).then_some(Candidate { spec, span, rows, expected: term.expects() })
+        (rows.is_finite() && !rows.is_empty()).then_some(Candidate { spec, span, rows, expected: term.expects() })
     }
 
     /// The same effect in a part of the recording that consists of whole folds; `None` where its columns are zero there.
     pub fn in_folds(&self, evidence: &Evidence, span: Span) -> Option<Candidate> {
         let rows = self.rows.in_folds(evidence, span);
-        (!rows.parts.is_empty()).then(|| Candidate { rows, span, ..self.clone() })
+        (!rows.is_empty()).then(|| Candidate { rows, span, ..self.clone() })
     }
 
     /// Plausibility of the parameter, 0 to 1: 0 for a negative gap, less than 1 for a gap that differs from the setting that its column was evaluated
@@ -61,21 +60,6 @@ impl Candidate {
         self.plausibility(parameters) * MAX_PARAMETER_RATIO >= 1.0
     }
 
-    /// The same effect in the forms that grow out of this one, which was fitted with `parameters`.
-    pub fn grown(&self, parameters: &[f64]) -> Vec<Spec> {
-        let (Ok(family), &[parameter]) = (self.spec.family(), parameters) else { return Vec::new() };
-        let grown = family.forms.iter().filter(|form| form.grown());
-        let start = |form: &Form| {
-            let mut values = std::iter::once(parameter).chain(self.spec.settings.iter().copied());
-            let settings = form
-                .settings
-                .iter()
-                .map(|setting| values.next().unwrap_or_else(|| setting.at(0.0)).clamp(setting.low, setting.high));
-            Spec { form: form.name, settings: settings.collect(), ..self.spec.clone() }
-        };
-        grown.map(start).collect()
-    }
-
     /// Number of parameters: linear and nonlinear, the begin of a part among them.
     pub fn parameters(&self) -> usize {
         self.rows.width + self.spec.settings.len() + usize::from(!self.span.is_all())
@@ -83,7 +67,7 @@ impl Candidate {
 
     /// Joints whose torque it touches.
     pub fn joints(&self) -> Vec<usize> {
-        self.rows.parts.iter().map(|(joint, _)| *joint).collect()
+        self.rows.joints().collect()
     }
 
     /// Whether the other is the same effect but for its settings.
@@ -171,7 +155,7 @@ mod tests {
     fn a_parameter_has_to_be_what_the_effect_can_have() {
         let of = |expected| {
             let spec = Spec { family: "backlash", form: "", site: Site::Joint(0), settings: vec![1e-3] };
-            Candidate { spec, span: Span::ALL, rows: Rows { width: 1, parts: Vec::new() }, expected }
+            Candidate { spec, span: Span::ALL, rows: Rows::new(1, Vec::new()), expected }
         };
         assert!(of(Expected::Any).allows(&[-1.0]));
         assert!(of(Expected::NotNegative).allows(&[1e-4]) && !of(Expected::NotNegative).allows(&[-1e-4]));

@@ -65,8 +65,8 @@ impl Columns {
             let width = m.ncols();
             let grown = std::mem::replace(m, DMatrix::zeros(0, 0)).resize_horizontally(width + rows.width, 0.0);
             *m = grown;
-            if let Some((_, part)) = rows.parts.iter().find(|(own, _)| *own == joint) {
-                m.columns_mut(width, rows.width).copy_from(part);
+            if let Some(part) = rows.of(joint) {
+                m.columns_mut(width, rows.width).copy_from(&part);
             }
         }
     }
@@ -92,12 +92,8 @@ impl Columns {
     pub fn cross(&self, evidence: &Evidence, rows: &Rows) -> Cross {
         let mut cells = Vec::new();
         for (index, cell) in evidence.cells().iter().enumerate() {
-            let Some((_, part)) = rows.parts.iter().find(|(joint, _)| *joint == cell.joint) else { continue };
+            let Some(c) = rows.in_cell(cell) else { continue };
             let m = self.m[cell.joint].rows(cell.rows.start, cell.rows.len());
-            let c = part.rows(cell.rows.start, cell.rows.len());
-            if c.iter().all(|value| *value == 0.0) {
-                continue;
-            }
             let r = self.r[cell.joint].rows(cell.rows.start, cell.rows.len());
             cells.push((
                 index,

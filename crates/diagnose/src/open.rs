@@ -358,7 +358,7 @@ impl OpenQuestions {
         let mut columns = columns_of(&evidence, &self.structure, trials);
         for Part { item, parameters, .. } in &self.parts {
             let moved = Candidate::of(&evidence, &operating_point, item.spec.clone(), item.span);
-            columns.push(&moved.map_or(Rows { width: item.rows.width, parts: Vec::new() }, |moved| moved.rows));
+            columns.push(&moved.map_or(Rows::new(item.rows.width, Vec::new()), |moved| moved.rows));
             columns.push(&slopes(&evidence, &operating_point, item, parameters));
         }
         let problem = Problem { evidence: &evidence, prior: None };

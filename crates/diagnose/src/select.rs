@@ -13,13 +13,11 @@ use super::search;
 use super::span::Span;
 use super::state::{State, Tried, every};
 use plumbline_core::parallel;
-use plumbline_model::term::effect::{OperatingPoint, Setting, Spec};
+use plumbline_model::term::effect::{OperatingPoint, Setting, Site, Spec};
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// Candidates that are fitted in full at each step.
 const MAX_SHORTLISTED: usize = 16;
-/// Largest number of forms grown out of those per step.
-const MAX_GROWN_FORMS: usize = 4;
 /// Smallest gain at the start of a search for several settings, as a share of the penalty.
 const MIN_START_GAIN_RATIO: f64 = 0.5;
 /// Resolution of the begin of an effect in a motion that does not repeat \[s\].
@@ -239,22 +237,6 @@ impl<'a> Search<'a> {
         });
         let mut scored: Vec<Scored> = tried.into_iter().flatten().collect();
         scored.sort_by(|a, b| b.score.total_cmp(&a.score));
-        let mut grown_forms: Vec<Candidate> = Vec::new();
-        for one in scored.iter().filter(|one| one.score > 0.0) {
-            let theta = &one.tried.fit.theta;
-            let parameters = theta.rows(theta.len() - one.item.rows.width, one.item.rows.width);
-            for spec in one.item.grown(parameters.as_slice()) {
-                let span = one.item.span;
-                let known = state.items.iter().chain(&grown_forms).any(|own| own.is_of(&spec, span));
-                if !known && grown_forms.len() < MAX_GROWN_FORMS {
-                    let form = Candidate::of(self.evidence(), self.operating_point, spec, span);
-                    grown_forms.extend(form.filter(|form| wanted(form)));
-                }
-            }
-        }
-        let grown = parallel(&grown_forms, threads, |item| self.score(state, &self.refined(state, item.clone())));
-        scored.extend(grown.into_iter().flatten());
-        scored.sort_by(|a, b| b.score.total_cmp(&a.score));
         scored
     }
 
@@ -415,13 +397,24 @@ impl<'a> Search<'a> {
             return false;
         }
         let relevance = gates::relevance(self.evidence(), state, &one.tried, &one.item);
-        if !gates::matters(self.evidence(), &relevance, self.settings) {
+        if !gates::matters(self.evidence(), &relevance, self.settings) && !self.is_common(state, &one.item) {
             return false;
         }
         let folds = gates::folds(&self.problem, state, &one.tried);
         let blocks = self.evidence().folds().len();
         folds.confirm() != Some(false)
             && (self.evidence().repeats() || folds.hold(blocks, one.penalty, self.settings.least_share_left_out))
+    }
+
+    /// Whether at least half of the other joints have the same effect. Gears of one make have one law of friction: it is there in joints too where
+    /// its torque alone would not be worth a term, and where it is missing the rigid body's parameters take it over and spoil other joints.
+    fn is_common(&self, state: &State, item: &Candidate) -> bool {
+        let Site::Joint(own) = item.spec.site else { return false };
+        let same = |other: &&Candidate| {
+            let elsewhere = matches!(other.spec.site, Site::Joint(joint) if joint != own);
+            elsewhere && other.spec.family == item.spec.family && other.span == item.span
+        };
+        2 * state.items.iter().filter(same).count() >= self.evidence().joints().max(3) - 1
     }
 
     /// Of candidates that pass, the best; of those that are nearly as good the simplest, where the score is no exact measure.

@@ -9,6 +9,7 @@ use crate::{Search, Settings};
 use nalgebra::DMatrix;
 use plumbline_model::term::effect::{Family, Site, Spec, family};
 use plumbline_model::term::{joint_elasticity, spring, torque_offset};
+use std::borrow::Cow;
 use std::f64::consts::TAU;
 
 /// A search among the candidates of one family, with that of joint 2.
@@ -20,9 +21,9 @@ fn of_joint_2(recorded: &Recorded, family: &'static Family, look: impl FnOnce(&S
 }
 
 /// Rows of the effect in joint 2.
-fn part(item: &Candidate) -> &DMatrix<f64> {
-    assert_eq!(item.rows.parts.len(), 1);
-    &item.rows.parts[0].1
+fn part(item: &Candidate) -> Cow<'_, DMatrix<f64>> {
+    assert_eq!(item.joints().len(), 1);
+    item.rows.of(item.joints()[0]).unwrap()
 }
 
 /// The torque that changes in a joint, row by row, divided by the noise.
@@ -30,7 +31,7 @@ fn changed(state: &State, item: &Candidate, joint: usize, change: &DVector<f64>)
     let own = state.fit.theta.len();
     let mut rows = &state.columns.m[joint] * change.rows(0, own);
     if joint == 1 {
-        rows += part(item) * change.rows(own, change.len() - own);
+        rows += &*part(item) * change.rows(own, change.len() - own);
     }
     rows
 }

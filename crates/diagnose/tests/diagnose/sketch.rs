@@ -25,9 +25,11 @@ fn a_sketch_of_a_swinging_link_is_nearly_its_columns() {
         let careful = Candidate::of(&evidence, &operating_point, spec.clone(), Span::ALL).unwrap();
         let rough = Candidate::sketch(&evidence, &operating_point, spec, Span::ALL).unwrap();
         assert_ne!(careful.rows, rough.rows, "there is nothing rough about it");
-        let pairs = careful.rows.parts.iter().zip(&rough.rows.parts);
-        let apart: f64 = pairs.map(|((_, careful), (_, rough))| (careful - rough).norm_squared()).sum();
-        let whole: f64 = careful.rows.parts.iter().map(|(_, part)| part.norm_squared()).sum();
+        let of = |item: &Candidate, joint: usize| item.rows.of(joint).unwrap().into_owned();
+        let square = |part: nalgebra::DMatrix<f64>| part.norm_squared();
+        let joints = careful.joints();
+        let apart: f64 = joints.iter().map(|&joint| square(of(&careful, joint) - of(&rough, joint))).sum();
+        let whole: f64 = joints.iter().map(|&joint| square(of(&careful, joint))).sum();
         // Without the means a flank that is hit between two samples is lost or counts five times: several times as far off.
         let off = (apart / whole).sqrt();
         assert!(off < 0.45, "joint {}: {off}", joint + 1);

@@ -207,7 +207,7 @@ pub struct Setting {
     pub low: f64,
     /// Largest value.
     pub high: f64,
-    /// Number of start values of a search; 0 where it starts from the parameter of another form of the family.
+    /// Number of start values of a search.
     pub steps: usize,
     /// Spacing of the start values.
     pub scale: Scale,
@@ -242,7 +242,7 @@ impl Setting {
 
     /// Distance between two start values as a ratio of the range: a search covers as much on either side.
     pub fn spacing(&self) -> f64 {
-        if self.steps == 0 { 0.5 } else { 1.0 / (self.steps.max(2) - 1) as f64 }
+        1.0 / (self.steps.max(2) - 1) as f64
     }
 }
 
@@ -413,13 +413,6 @@ impl Family {
     /// Its form of that name.
     pub fn form(&self, name: &str) -> Option<&'static Form> {
         self.forms.iter().find(|form| form.name == name)
-    }
-}
-
-impl Form {
-    /// Whether a search starts from another form of the family: its only parameter is the first setting, its settings follow.
-    pub fn grown(&self) -> bool {
-        self.settings.first().is_some_and(|setting| setting.steps == 0)
     }
 }
 

@@ -65,7 +65,7 @@ const COMPLIANCE: Setting = Setting {
     what: "compliance on which the link swings",
     low: 1e-5,
     high: 1e-3,
-    steps: 0,
+    steps: 5,
     scale: Scale::Logarithmic,
 };
 

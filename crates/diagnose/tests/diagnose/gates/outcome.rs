@@ -201,13 +201,14 @@ fn the_least_offset_that_would_be_found_is_three_quarters_of_the_noise() {
         // What the base columns leave of a constant, by projection on their rows.
         let independence = identify.search(&[&torque_offset::FAMILY], &Settings::default(), |search, base| {
             let item = search.library.iter().find(|item| item.joints() == [joint]).unwrap();
-            let whole: f64 = item.rows.parts[0].1.norm_squared();
+            let part = item.rows.of(joint).unwrap();
+            let whole: f64 = part.norm_squared();
             let rows = base.columns.m[0].nrows();
             let (mut m, mut c) = (nalgebra::DMatrix::zeros(2 * rows, base.base), nalgebra::DVector::zeros(2 * rows));
             for j in 0..2 {
                 m.rows_mut(j * rows, rows).copy_from(&base.columns.m[j]);
             }
-            c.rows_mut(joint * rows, rows).copy_from(&item.rows.parts[0].1.column(0));
+            c.rows_mut(joint * rows, rows).copy_from(&part.column(0));
             let q = m.qr().q();
             (&c - &q * q.tr_mul(&c)).norm_squared() / whole
         });
