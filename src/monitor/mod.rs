@@ -2,8 +2,10 @@
 //!
 //! All that is computed from them is computed in the client's process.
 
+mod exposition;
 pub mod watched;
 
+pub use exposition::exposition;
 pub use watched::Watched;
 
 use plumbline_ipc::{Client, IpcError, ModelClient, Request, Response, RobotId, SampleWatcher};

@@ -2,7 +2,7 @@
 
 use crate::analysis::external::ONE_CONTACT_S;
 use nalgebra::Vector3;
-use plumbline_core::{JointVec, Limits, Record, Validity};
+use plumbline_core::{Histogram, JointVec, Limits, Record, Validity};
 use plumbline_identify::external::{External, ExternalObserver, ObserverSettings};
 use plumbline_ipc::{ModelHeader, ModelMessage, Progress, Status};
 use plumbline_model::Robot;
@@ -34,10 +34,15 @@ pub struct Watched {
     contact: f64,
     /// Header of the served model.
     model: ModelHeader,
+    /// Time of the first header with its identity and gravity, `CLOCK_BOOTTIME` \[ns\].
+    served_since: u64,
     /// Mean square of measured torque minus served torque, per joint \[Nm^2\].
     square: JointVec,
     /// Wake-up latencies; execution times of an arm without a deadline.
     pub latencies: [u64; BINS],
+    /// Wake-up latencies of an arm with deadlines, and execution times \[ns\].
+    pub wake_up: Histogram,
+    pub execution: Histogram,
     pub events: VecDeque<String>,
     start: Instant,
 }
@@ -54,8 +59,11 @@ impl Default for Watched {
             observer: None,
             contact: f64::NEG_INFINITY,
             model: ModelHeader::default(),
+            served_since: 0,
             square: JointVec::default(),
             latencies: [0; BINS],
+            wake_up: Histogram::default(),
+            execution: Histogram::default(),
             events: VecDeque::new(),
             start: Instant::now(),
         }
@@ -118,6 +126,7 @@ impl Watched {
         if of(&std::mem::replace(&mut self.model, *header)) == of(header) {
             return;
         }
+        self.served_since = header.stamp_ns;
         (self.floor, self.observer, self.external) = (Vec::new(), None, None);
         if header.model == 0 {
             return;
@@ -129,6 +138,11 @@ impl Watched {
             }
             Err(error) => self.note(error),
         }
+    }
+
+    /// Header of the served model and the time since when it is served, `CLOCK_BOOTTIME` \[ns\]; `None` where none is.
+    pub fn served(&self) -> Option<(&ModelHeader, u64)> {
+        (self.model.model != 0).then_some((&self.model, self.served_since))
     }
 
     /// Takes the noise floor of a model and its observer under `gravity` \[m/s2\].
@@ -149,6 +163,10 @@ impl Watched {
             let error = if served { measured - served_torque } else { 0.0 };
             *square += NEW_SHARE * (error * error - *square);
         }
+        if record.wake_ns > 0 {
+            self.wake_up.add(record.wake_ns);
+        }
+        self.execution.add(record.work_ns);
         let ns = if record.wake_ns > 0 { record.wake_ns } else { record.work_ns };
         let bin = ((ns as f64 / 1e3).max(1.0).log10() * BINS_PER_DECADE) as usize;
         self.latencies[bin.min(BINS - 1)] += 1;

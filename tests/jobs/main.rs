@@ -19,6 +19,7 @@ mod held_out_errors;
 mod killed;
 mod live_watch;
 mod main_job;
+mod metrics;
 mod own_robot;
 mod plan_command;
 mod plan_robots;
