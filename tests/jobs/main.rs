@@ -29,5 +29,6 @@ mod reference_pages;
 mod robot_command;
 mod rounds;
 mod run_identity;
+mod schemas;
 mod undeclared_effect;
 mod vertical_model;

@@ -1,11 +1,12 @@
 //! Resources that a job names: built in, or in a file.
 
 use plumbline_core::BadInput;
+use schemars::JsonSchema;
 use serde::Deserialize;
 use std::path::PathBuf;
 
 /// A built-in resource by name, or a file.
-#[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Eq, Deserialize, JsonSchema)]
 #[serde(from = "String")]
 pub enum Resource {
     /// A name without `/` and `.toml`.
