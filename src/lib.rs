@@ -23,6 +23,7 @@
 //! | `estimator` | the process that identifies models from samples |
 //! | `setup` | preparation of a job: robot, locks, plans |
 //! | `analysis` | from recorded runs to model, errors and diagnosis; shared by estimator and offline commands |
+//! | `monitor` | a running daemon as its clients see it; shared by the live view and the metrics endpoint |
 //! | `relay` | torque, model and states across users of one machine |
 //! | [`config`], [`dataset`], [`store`], [`recording`] | files: jobs, recorded motions, models and plans, the last seconds before a fault |
 //! | [`urdf`] | an arm from a URDF |
@@ -50,6 +51,7 @@ mod failure;
 pub mod import;
 pub mod inclinometer;
 pub mod machine;
+mod monitor;
 pub mod offline;
 pub mod postmortem;
 mod process;

@@ -10,3 +10,5 @@ venv=$(dirname "$0")/venv.sh
 "$venv" --in libfranka-0.21 'pylibfranka==0.21.3' 'franky-control==2.0.0'
 # tests/jobs/flight_recorder.rs
 "$venv" --in flight 'mcap-ros2-support==0.5.*'
+# tests/jobs/schemas.rs
+"$venv" --in schema 'jsonschema==4.*'

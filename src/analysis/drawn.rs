@@ -3,11 +3,12 @@
 use crate::analysis::pipeline;
 use crate::dataset::Run;
 use crate::failure::Failure;
-use crate::report::figures::{Bin, DurationFigure, FrictionFigure};
-use plumbline_core::Record;
+use crate::report::figures::{Bin, DurationFigure, FrictionFigure, PlanFigure};
+use plumbline_core::{Record, Workspace};
+use plumbline_excite::Fourier;
 use plumbline_identify::Settings;
 use plumbline_identify::solve::Identification;
-use plumbline_model::{Chain, TorqueModel};
+use plumbline_model::{Chain, Robot, TorqueModel};
 
 /// The term of friction.
 const FRICTION: &str = "friction";
@@ -108,6 +109,27 @@ pub fn pose(chain: &Chain, q: &[f64]) -> Vec<[f64; 3]> {
     }
     points.push(chain.end_effector(q).into());
     points
+}
+
+/// Points of a period that is drawn.
+const POINTS: usize = 500;
+/// Poses of the arm that are drawn along a motion.
+const POSES: usize = 100;
+
+/// One period of a planned motion of `robot` in a workspace.
+pub fn plan(robot: &Robot, workspace: Workspace, motion: &Fourier) -> PlanFigure {
+    let n = motion.joints();
+    let t: Vec<f64> = (0..POINTS).map(|k| k as f64 * motion.period / (POINTS - 1) as f64).collect();
+    let q: Vec<Vec<f64>> = (0..n).map(|j| t.iter().map(|&t| motion.at(j, t).q).collect()).collect();
+    let at = |k: usize| q.iter().map(|q| q[k]).collect::<Vec<_>>();
+    PlanFigure {
+        end_effector: (0..POINTS).map(|k| robot.chain.end_effector(&at(k)).into()).collect(),
+        poses: (0..POINTS).step_by(POINTS.div_ceil(POSES)).map(|k| pose(&robot.chain, &at(k))).collect(),
+        limits: (0..n).map(|j| [robot.limits.q_min[j], robot.limits.q_max[j]]).collect(),
+        workspace: Some(workspace),
+        t,
+        q,
+    }
 }
 
 /// Bins per decade of a duration.

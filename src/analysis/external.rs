@@ -7,7 +7,7 @@ use plumbline_identify::external::{External, Observed, ObserverError, ObserverSe
 use plumbline_model::TorqueModel;
 
 /// Contacts closer together than this are one \[s\].
-const ONE_CONTACT_S: f64 = 0.2;
+pub const ONE_CONTACT_S: f64 = 0.2;
 /// Step between samples at which thresholds are computed as forces.
 const FORCE_STEP: usize = 20;
 /// Smallest ratio of the eigenvalues of `J J'` at which forces are computed: nearer to a singular pose they are not determined.

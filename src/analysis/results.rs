@@ -11,7 +11,7 @@ use crate::dataset::columns::SERVED_TORQUES;
 use crate::dataset::{self, Dataset, Run};
 use crate::failure::Failure;
 use crate::process::progress;
-use crate::report::figures::{Figures, PlanFigure};
+use crate::report::figures::Figures;
 use crate::report::{
     Base, Consistency, CounterExperiment, EstimatorFacts, Fit, GravityReport, Identifiability, IpcReport, LoopReport,
     MotionUsage, Report, Round, Validation, provenance,
@@ -21,15 +21,13 @@ use crate::setup::programme::{Motion, Planned, Programme, Role, arm_limits, is_r
 use crate::store::{ModelFile, Provenance, Validated, save_plan, uncertainty_of};
 use plumbline_core::{Record, threads};
 use plumbline_diagnose::errors::Of;
-use plumbline_excite::{Fourier, PlanUsage, Search};
+use plumbline_excite::{Fourier, Search};
 use plumbline_identify::Settings;
 use plumbline_identify::solve::Outcome;
 use plumbline_ipc::{Status, StreamCounters};
 use plumbline_model::{Mounting, Robot};
 use std::path::{Path, PathBuf};
 
-/// Poses of the arm that are drawn along a motion.
-const POSES: usize = 100;
 /// Terms of the paper's model, besides the rigid body.
 const TERMS: [&str; 1] = ["friction"];
 
@@ -412,7 +410,8 @@ impl Results {
                 figures.runs.push(crate::report::figures::TorqueFigure { title, ..judged.figure });
             }
         }
-        figures.plan = self.plan.as_ref().map(|planned| self.plan_figure(planned));
+        let workspace = self.job.workspace(&self.robot.workspace);
+        figures.plan = self.plan.as_ref().map(|planned| drawn::plan(&self.robot, workspace, &planned.fourier));
         if let Some(run) = self.runs(Role::Identify).first() {
             figures.friction = drawn::friction(&identified.model, run, &self.settings)?;
         }
@@ -420,28 +419,11 @@ impl Results {
         figures.durations = self.durations.figures();
         Ok(figures)
     }
-
-    fn plan_figure(&self, motion: &Planned) -> PlanFigure {
-        let n = self.joints();
-        let t: Vec<f64> = (0..500).map(|k| k as f64 * motion.plan.period / 499.0).collect();
-        let q: Vec<Vec<f64>> = (0..n).map(|j| t.iter().map(|&t| motion.fourier.at(j, t).q).collect()).collect();
-        let end_effector = (0..t.len())
-            .map(|k| self.robot.chain.end_effector(&q.iter().map(|q| q[k]).collect::<Vec<_>>()).into())
-            .collect();
-        let every = t.len().div_ceil(POSES);
-        let pose = |k: usize| drawn::pose(&self.robot.chain, &q.iter().map(|q| q[k]).collect::<Vec<_>>());
-        let poses = (0..t.len()).step_by(every).map(pose).collect();
-        let limits = &self.robot.limits;
-        let limits = (0..n).map(|j| [limits.q_min[j], limits.q_max[j]]).collect();
-        let workspace = Some(self.job.workspace(&self.robot.workspace));
-        PlanFigure { t, q, end_effector, poses, limits, workspace }
-    }
 }
 
-/// Use of the joints' limits by a motion, from its plan.
+/// Use of the joints' limits by a motion and the course of its search, from its plan.
 fn usage(motion: &Motion) -> Option<MotionUsage> {
-    let PlanUsage { range, speed } = motion.planned()?.plan.usage.clone()?;
-    Some(MotionUsage { motion: motion.name.clone(), range, speed })
+    MotionUsage::of(&motion.name, &motion.planned()?.plan)
 }
 
 /// One row of the paper's Tables IV and V.

@@ -1,7 +1,8 @@
-//! `plumbline manual`: man pages and shell completions, made of the command line's own description.
+//! `plumbline manual`: man pages and shell completions, made of the command line's own description, and JSON schemas of configuration files.
 
 use super::Cli;
 use crate::cli::say::say;
+use crate::config::schema::schemas;
 use crate::failure::Failure;
 use clap::{Args, Command, CommandFactory};
 use clap_complete::{Shell, generate};
@@ -35,6 +36,12 @@ pub fn run(options: Options) -> Result<(), Failure> {
         let path = options.out.join(file);
         crate::atomic::write_result(&path, &script)?;
         say!("{}: completions of {shell}", path.display());
+    }
+    for (name, schema) in schemas() {
+        let path = options.out.join(format!("plumbline/schema/{name}.json"));
+        let text = serde_json::to_string_pretty(&schema).map_err(Failure::job)?;
+        crate::atomic::write_result(&path, format!("{text}\n").as_bytes())?;
+        say!("{}: schema of a {name} file", path.display());
     }
     Ok(())
 }

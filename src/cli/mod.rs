@@ -115,7 +115,7 @@ subcommands! {
     Inclinometer => inclinometer,
     /// Send a request to a running daemon: start, stop, resume, quit, status, ...
     Command => command,
-    /// Write man pages and shell completions into a folder
+    /// Write man pages, shell completions and JSON schemas of configuration files into a folder
     Manual => manual,
 }
 

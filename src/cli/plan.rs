@@ -1,17 +1,19 @@
 //! `plumbline plan`: searches excitations and writes them to plan files.
 
-use crate::analysis::{conditions_facts, conditions_text};
+use crate::analysis::{conditions_facts, conditions_text, drawn};
 use crate::cli::say::say;
 use crate::failure::Failure;
 use crate::offline::plan::{self, Planned, Purpose, plan};
 use crate::process::signals::Ending;
 use crate::report::robot::unchecked;
+use crate::report::{Figures, MotionUsage, Report};
 use crate::setup::planner::motion;
 use crate::store::trajectory::{Trajectory, ros_names};
 use crate::store::{load_plan, save_plan};
 use clap::Args;
 use plumbline_core::BadInput;
 use plumbline_excite::{Fourier, Plan, PlanUsage};
+use plumbline_model::Robot;
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 
@@ -28,6 +30,9 @@ pub struct Options {
     of: Option<PathBuf>,
     #[command(flatten)]
     trajectory: TrajectoryOptions,
+    /// Write a page with the motion, the course of its search and its use of the limits, too
+    #[arg(long, value_name = "FILE", conflicts_with = "of")]
+    page: Option<PathBuf>,
     /// Print condition numbers and use of the limits as JSON, one entry per plan file
     #[arg(long)]
     json: bool,
@@ -88,11 +93,16 @@ pub fn run(options: Options) -> Result<(), Failure> {
         let path = file_of(out, planned.purpose);
         save_plan(&planned.plan, &path).map_err(Failure::job)?;
         let sampled = options.trajectory.write(&planned.plan, planned.purpose)?;
+        let page = options.page.as_ref().map(|page| file_of(page, planned.purpose));
+        if let Some(page) = &page {
+            crate::atomic::write_result(page, html(&robot, &planned.plan, &path)?.as_bytes())?;
+        }
         if options.json {
             written.push(facts(&planned, &path, &sampled));
         } else {
             show(&planned, &path);
             sampled.iter().for_each(|sampled| say!("  {}", sampled.line()));
+            page.iter().for_each(|page| say!("  page: {}", page.display()));
         }
         Ok(())
     })?;
@@ -185,10 +195,23 @@ fn file_of(out: &Path, purpose: Purpose) -> PathBuf {
     out.with_file_name(format!("{stem}{kind}-{k}.{extension}"))
 }
 
-/// Condition numbers and use of the limits, as `--json` prints them.
+/// The page of a motion: the parts of a report that need no recorded data.
+fn html(robot: &Robot, plan: &Plan, path: &Path) -> Result<String, Failure> {
+    let report = Report {
+        robot: plan.robot.clone(),
+        mounting: plan.mounting().into(),
+        conditions: conditions_facts(&plan.conditions),
+        motions: MotionUsage::of(&path.display().to_string(), plan).into_iter().collect(),
+        ..Report::default()
+    };
+    let figures = Figures { plan: Some(drawn::plan(robot, robot.workspace, &motion(plan)?)), ..Figures::default() };
+    report.to_html(&figures).map_err(Failure::job)
+}
+
+/// Condition numbers, use of the limits and course of the search, as `--json` prints them.
 fn facts(Planned { plan, together, .. }: &Planned, path: &Path, sampled: &[Sampled]) -> Value {
     serde_json::json!({
-        "file": path, "conditions": conditions_facts(&plan.conditions), "usage": plan.usage,
+        "file": path, "conditions": conditions_facts(&plan.conditions), "usage": plan.usage, "search": plan.search,
         "with_those_before": together.as_ref().map(conditions_facts),
         "trajectories": sampled.iter().map(Sampled::facts).collect::<Vec<_>>(),
     })

@@ -7,28 +7,31 @@ mod check;
 pub mod franka;
 pub mod guest;
 pub mod inclinometer;
+mod resource;
 mod sets;
 
 pub use franka::Franka;
 pub use guest::Guest;
 pub use inclinometer::{Inclinometer, MountingCheck};
+pub use resource::Resource;
 
 use super::units;
 use plumbline_core::BadInput;
 use plumbline_excite::{Criterion, Margins};
 use plumbline_identify::{Derivative, Method, solve};
 use plumbline_model::Mounting;
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
-#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, rename_all = "kebab-case")]
 pub struct Job {
     #[serde(skip)]
     pub file: PathBuf,
     /// A shipped robot (`panda`), or the path of a robot description.
     pub robot: String,
-    #[serde(deserialize_with = "units::mounting")]
+    #[serde(with = "units::MountingSetting")]
     pub mounting: Mounting,
     pub backend: Backend,
     #[serde(default)]
@@ -64,7 +67,7 @@ pub struct Job {
     pub output: Output,
 }
 
-#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default, rename_all = "kebab-case")]
 pub struct Diagnosis {
     pub enabled: bool,
@@ -84,7 +87,7 @@ impl Default for Diagnosis {
     }
 }
 
-#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, rename_all = "kebab-case")]
 pub struct Backend {
     pub kind: BackendKind,
@@ -103,11 +106,11 @@ pub struct Backend {
     #[serde(default = "default_seed")]
     pub seed: u64,
     /// Pose that the arm returns to, and that a simulated one starts in; the middle of every joint's range where absent \[rad\].
-    #[serde(default, deserialize_with = "units::optional_positions")]
+    #[serde(default, with = "units::Positions")]
     pub start: Option<Vec<f64>>,
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum BackendKind {
     Sim,
@@ -134,7 +137,7 @@ impl Backend {
     }
 }
 
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Pace {
     /// As fast as possible, without losing a sample.
@@ -143,51 +146,8 @@ pub enum Pace {
     WallClock,
 }
 
-/// A built-in resource by name, or a file.
-#[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
-#[serde(from = "String")]
-pub enum Resource {
-    /// A name without `/` and `.toml`.
-    BuiltIn(String),
-    /// A file; relative paths are relative to the folder of the configuration that names it.
-    File(PathBuf),
-}
-
-impl From<String> for Resource {
-    fn from(text: String) -> Resource {
-        if text.contains('/') || text.ends_with(".toml") {
-            Resource::File(text.into())
-        } else {
-            Resource::BuiltIn(text)
-        }
-    }
-}
-
-impl Resource {
-    /// Name for errors and text of the resource; `built_in` holds the names and texts that the program carries.
-    /// Errors: an unknown name, with those that are known, or a file that can't be read.
-    pub fn read(&self, key: &str, built_in: &[(&str, &str)]) -> Result<(String, String), BadInput> {
-        match self {
-            Resource::File(path) => {
-                let file = path.display().to_string();
-                let text = std::fs::read_to_string(path)
-                    .map_err(|error| BadInput::new(&file, "file", error, format!("a readable file, for `{key}`")))?;
-                Ok((file, text))
-            }
-            Resource::BuiltIn(name) => {
-                let known: Vec<&str> = built_in.iter().map(|(known, _)| *known).collect();
-                let found = built_in.iter().find(|(known, _)| known == name).ok_or_else(|| {
-                    let expected = format!("the path of a .toml file or one of {}", known.join(", "));
-                    BadInput::new("configuration", format!("key `{key}`"), format!("`{name}`"), expected)
-                })?;
-                Ok((name.clone(), found.1.to_string()))
-            }
-        }
-    }
-}
-
 /// The excitation: a Fourier series per joint (paper eq. 12).
-#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default, rename_all = "kebab-case")]
 pub struct Excitation {
     /// A plan to use instead of a search; it also sets period, harmonics and seed.
@@ -195,7 +155,7 @@ pub struct Excitation {
     /// Harmonics per joint, N.
     pub harmonics: usize,
     /// Period \[s\].
-    #[serde(deserialize_with = "units::duration")]
+    #[serde(with = "units::Duration")]
     pub period: f64,
     /// Motions to identify from: the first is searched for (or is `plan`), the others are random. What a diagnosis finds has to hold on
     /// motions that it was not found on, so it wants three or more.
@@ -211,7 +171,7 @@ pub struct Excitation {
     pub model: Option<PathBuf>,
     pub seed: u64,
     /// Centre of the motion, where it starts and ends; chosen by the search where absent \[rad\].
-    #[serde(deserialize_with = "units::optional_positions")]
+    #[serde(with = "units::Positions")]
     pub q0: Option<Vec<f64>>,
 }
 
@@ -235,11 +195,11 @@ impl Default for Excitation {
 }
 
 /// Validation motions (paper, Tables IV and V).
-#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default, rename_all = "kebab-case")]
 pub struct Validation {
     pub trajectories: usize,
-    #[serde(deserialize_with = "units::mountings")]
+    #[serde(with = "units::Mountings")]
     pub mountings: Vec<Mounting>,
     pub periods: usize,
     pub seed: u64,
@@ -262,11 +222,11 @@ impl Default for Validation {
 /// Ratios of the robot's limits for planned motions, and tighter limits of the job.
 ///
 /// Shares hold for planned motions alone; the guard stops the arm at the limits themselves.
-#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default, rename_all = "kebab-case")]
 pub struct Limits {
     /// Distance that planned motions keep from both ends of every joint \[rad\].
-    #[serde(deserialize_with = "units::angle")]
+    #[serde(with = "units::Angle")]
     pub margin: f64,
     pub speed: f64,
     pub acceleration: f64,
@@ -286,7 +246,7 @@ impl Default for Limits {
 }
 
 /// Limits in place of the robot's, one number per joint, named and in units as in robot descriptions.
-#[derive(Clone, Debug, Default, PartialEq, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default, rename_all = "kebab-case")]
 pub struct LimitOverrides {
     /// Lowest position \[rad\].
@@ -306,7 +266,7 @@ pub struct LimitOverrides {
 }
 
 /// Workspace of the end effector in the base frame (paper eq. 14).
-#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, rename_all = "kebab-case")]
 pub struct Workspace {
     /// Lower corner of the box around the arm \[m\].
@@ -322,7 +282,7 @@ pub struct Workspace {
 }
 
 /// Signal processing and estimator; absent keys have the estimator's defaults.
-#[derive(Clone, Debug, Default, PartialEq, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default, rename_all = "kebab-case")]
 pub struct Estimator {
     /// Estimator: `ols`, `wls`, `wls-full`, `huber`, `tls` or `iv`.
@@ -332,10 +292,10 @@ pub struct Estimator {
     /// Signal processing: `spectral`, or `paper` (order 20, 2 Hz, central differences); the keys below go over it.
     pub method: Method,
     /// Cut-off of the filter that torque and every regressor column pass through \[Hz\].
-    #[serde(deserialize_with = "units::optional_frequency")]
+    #[serde(with = "units::OptionalFrequency")]
     pub torque_cutoff: Option<f64>,
     /// Cut-off of the position filter before derivatives are taken \[Hz\].
-    #[serde(deserialize_with = "units::optional_frequency")]
+    #[serde(with = "units::OptionalFrequency")]
     pub position_cutoff: Option<f64>,
     /// Order of both filters, even.
     pub filter_order: Option<usize>,
@@ -344,7 +304,7 @@ pub struct Estimator {
 }
 
 /// Real-time rights of the loop's thread, and the action if they are refused.
-#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default, rename_all = "kebab-case")]
 pub struct Realtime {
     /// SCHED_FIFO priority from 1 to 99, or 0 for ordinary scheduling.
@@ -356,7 +316,7 @@ pub struct Realtime {
 }
 
 /// Action if a real-time right is refused.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum OnRefusal {
     /// Run without it and report that in log, status and report.
@@ -372,11 +332,11 @@ impl Default for Realtime {
     }
 }
 
-#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default, rename_all = "kebab-case")]
 pub struct Safety {
     /// Largest distance of a joint from its desired position \[rad\].
-    #[serde(deserialize_with = "units::angle")]
+    #[serde(with = "units::Angle")]
     pub tracking_error: f64,
     /// Maximum number of states lost in a row. A Franka stops by itself, and more abruptly, after 20 missing commands; half of that leaves time for
     /// a controlled stop.
@@ -384,7 +344,7 @@ pub struct Safety {
     /// Action if the estimator is lost during a motion.
     pub on_estimator_loss: OnEstimatorLoss,
     /// Timeout of the model after the identification motions, while the arm holds; then there is a controlled stop \[s\].
-    #[serde(deserialize_with = "units::duration")]
+    #[serde(with = "units::Duration")]
     pub model_timeout: f64,
 }
 
@@ -395,7 +355,7 @@ impl Default for Safety {
 }
 
 /// Action if the estimator is lost during a motion.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum OnEstimatorLoss {
     /// Complete the motion; the samples are kept for the next estimator.
@@ -406,26 +366,28 @@ pub enum OnEstimatorLoss {
 
 /// The served feed-forward torque. Each client sets the age of a stale value
 /// (`FeedForwardSettings::stale_after_ms`).
-#[derive(Clone, Debug, Default, PartialEq, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default, rename_all = "kebab-case")]
 pub struct Serve {
     /// Name under which the robot is found in shared memory; the robot's own where absent. Two arms of one kind need two names.
     pub id: Option<String>,
+    /// TCP port of 127.0.0.1 at which the daemon answers Prometheus; none where absent.
+    pub metrics_port: Option<i64>,
 }
 
 /// Live watch: monitors the residual of the served model.
-#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default, rename_all = "kebab-case")]
 pub struct Live {
     /// Whether the estimator watches the model while it is served and the arm moves.
     pub watch: bool,
     /// Duration of an alarm before the search for a change \[s\].
-    #[serde(deserialize_with = "units::duration")]
+    #[serde(with = "units::Duration")]
     pub window: f64,
     /// Whether a proposed model is served at once or after an operator's decision.
     pub adopt: Adopt,
     /// Duration of a repeated motion after the validation, for the live watch; 0 s for none \[s\].
-    #[serde(deserialize_with = "units::duration")]
+    #[serde(with = "units::Duration")]
     pub motion: f64,
 }
 
@@ -435,7 +397,7 @@ impl Default for Live {
     }
 }
 
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Adopt {
     /// By an operator: `plumbline command adopt`, or `reject`.
@@ -445,11 +407,11 @@ pub enum Adopt {
 }
 
 /// The flight recorder: the last seconds before a fault, up to the end of the stop.
-#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default, rename_all = "kebab-case")]
 pub struct Recorder {
     /// Recorded time before a fault; 0 s for no recordings \[s\].
-    #[serde(deserialize_with = "units::duration")]
+    #[serde(with = "units::Duration")]
     pub span: f64,
     /// Folder of the recordings, relative to the working directory; `flight` in the folder of the results where absent.
     pub dir: Option<PathBuf>,
@@ -465,7 +427,7 @@ impl Default for Recorder {
     }
 }
 
-#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default, rename_all = "kebab-case")]
 pub struct Output {
     /// Folder of the results; a relative path is relative to the working directory.

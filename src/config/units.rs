@@ -2,8 +2,10 @@
 
 use plumbline_core::BadInput;
 use plumbline_model::Mounting;
+use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::de::{Error, MapAccess, Visitor, value::MapAccessDeserializer};
-use serde::{Deserialize, Deserializer};
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
+use std::borrow::Cow;
 use std::f64::consts::PI;
 use std::fmt;
 
@@ -77,43 +79,120 @@ impl Visitor<'_> for QuantityVisitor {
     }
 }
 
-macro_rules! with_unit {
-    ($name:ident, $optional:ident, $quantity:ident, $doc:literal) => {
-        #[doc = concat!("`deserialize_with` for ", $doc, ".")]
-        pub fn $name<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
-            deserializer.deserialize_any(QuantityVisitor(&$quantity))
-        }
+impl Quantity {
+    /// Schema of a string with a number and one of the units.
+    fn schema(&self) -> Schema {
+        let units = self.units.iter().map(|(name, _)| *name).collect::<Vec<_>>().join("|");
+        // As `parse`: a number of Rust, blanks, the unit.
+        let pattern = format!(r"^\s*[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?\s*({units})\s*$");
+        json_schema!({ "type": "string", "pattern": pattern, "description": self.what })
+    }
 
-        #[doc = concat!("`deserialize_with` for ", $doc, " that may be absent.")]
-        pub fn $optional<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<f64>, D::Error> {
-            $name(deserializer).map(Some)
+    /// Text of a value in the SI unit.
+    fn text(&self, value: f64) -> String {
+        format!("{value} {}", self.units[0].0)
+    }
+}
+
+/// Schema of a type that stands for a form of text or tables.
+macro_rules! schema {
+    ($name:ident, $of:expr) => {
+        impl JsonSchema for $name {
+            fn schema_name() -> Cow<'static, str> {
+                stringify!($name).into()
+            }
+
+            fn inline_schema() -> bool {
+                true
+            }
+
+            fn json_schema(generator: &mut SchemaGenerator) -> Schema {
+                let of: fn(&mut SchemaGenerator) -> Schema = $of;
+                of(generator)
+            }
         }
     };
 }
 
-with_unit!(angle, optional_angle, ANGLE, "an angle in rad");
-with_unit!(angular_rate, optional_angular_rate, ANGULAR_RATE, "an angle per second in rad/s");
-with_unit!(duration, optional_duration, DURATION, "a duration in s");
-with_unit!(frequency, optional_frequency, FREQUENCY, "a frequency in Hz");
+/// A type for serde's `with`: the form of a quantity in a configuration, its schema, and the text of a default value in the schema.
+macro_rules! with_unit {
+    ($name:ident, $quantity:ident, $doc:literal) => {
+        #[doc = concat!("`with` for ", $doc, ".")]
+        pub struct $name;
 
-/// `deserialize_with` for two angles in rad.
-pub fn angle_pair<'de, D: Deserializer<'de>>(deserializer: D) -> Result<[f64; 2], D::Error> {
-    #[derive(Deserialize)]
-    struct Angle(#[serde(deserialize_with = "angle")] f64);
-    <[Angle; 2]>::deserialize(deserializer).map(|pair| pair.map(|Angle(value)| value))
-}
+        impl $name {
+            pub fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
+                deserializer.deserialize_any(QuantityVisitor(&$quantity))
+            }
 
-/// `deserialize_with` for one joint position per joint, in rad or m, that may be absent.
-pub fn optional_positions<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<Vec<f64>>, D::Error> {
-    struct Position(f64);
-    impl<'de> Deserialize<'de> for Position {
-        fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Position, D::Error> {
-            deserializer.deserialize_any(QuantityVisitor(&POSITION)).map(Position)
+            pub fn serialize<S: Serializer>(value: &f64, serializer: S) -> Result<S::Ok, S::Error> {
+                serializer.serialize_str(&$quantity.text(*value))
+            }
         }
-    }
-    let positions = Vec::<Position>::deserialize(deserializer)?;
-    Ok(Some(positions.into_iter().map(|position| position.0).collect()))
+
+        schema!($name, |_| $quantity.schema());
+    };
 }
+
+with_unit!(Angle, ANGLE, "an angle in rad");
+with_unit!(AngularRate, ANGULAR_RATE, "an angle per second in rad/s");
+with_unit!(Duration, DURATION, "a duration in s");
+with_unit!(Frequency, FREQUENCY, "a frequency in Hz");
+
+/// `with` for a frequency in Hz that may be absent.
+pub struct OptionalFrequency;
+
+impl OptionalFrequency {
+    pub fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<f64>, D::Error> {
+        Frequency::deserialize(deserializer).map(Some)
+    }
+
+    pub fn serialize<S: Serializer>(value: &Option<f64>, serializer: S) -> Result<S::Ok, S::Error> {
+        value.map(|value| FREQUENCY.text(value)).serialize(serializer)
+    }
+}
+
+schema!(OptionalFrequency, |_| FREQUENCY.schema());
+
+/// `with` for two angles in rad.
+pub struct AnglePair;
+
+impl AnglePair {
+    pub fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<[f64; 2], D::Error> {
+        #[derive(Deserialize)]
+        struct One(#[serde(with = "Angle")] f64);
+        <[One; 2]>::deserialize(deserializer).map(|pair| pair.map(|One(value)| value))
+    }
+
+    pub fn serialize<S: Serializer>(value: &[f64; 2], serializer: S) -> Result<S::Ok, S::Error> {
+        value.map(|value| ANGLE.text(value)).serialize(serializer)
+    }
+}
+
+schema!(AnglePair, |_| json_schema!({ "type": "array", "items": ANGLE.schema(), "minItems": 2, "maxItems": 2 }));
+
+/// `with` for one joint position per joint, in rad or m, that may be absent.
+pub struct Positions;
+
+impl Positions {
+    pub fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<Vec<f64>>, D::Error> {
+        struct Position(f64);
+        impl<'de> Deserialize<'de> for Position {
+            fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Position, D::Error> {
+                deserializer.deserialize_any(QuantityVisitor(&POSITION)).map(Position)
+            }
+        }
+        let positions = Vec::<Position>::deserialize(deserializer)?;
+        Ok(Some(positions.into_iter().map(|position| position.0).collect()))
+    }
+
+    pub fn serialize<S: Serializer>(value: &Option<Vec<f64>>, serializer: S) -> Result<S::Ok, S::Error> {
+        let texts = |values: &Vec<f64>| values.iter().map(|value| POSITION.text(*value)).collect::<Vec<_>>();
+        value.as_ref().map(texts).serialize(serializer)
+    }
+}
+
+schema!(Positions, |_| json_schema!({ "type": "array", "items": POSITION.schema() }));
 
 const MOUNTING: &str = "\"upright\", \"wall\", \"ceiling\" or { rho = \"90 deg\", phi = \"0 deg\" }";
 
@@ -150,9 +229,9 @@ impl<'de> Deserialize<'de> for Setting {
         #[derive(Deserialize)]
         #[serde(deny_unknown_fields)]
         struct Angles {
-            #[serde(deserialize_with = "angle")]
+            #[serde(with = "Angle")]
             rho: f64,
-            #[serde(deserialize_with = "angle")]
+            #[serde(with = "Angle")]
             phi: f64,
         }
         struct SettingVisitor;
@@ -186,13 +265,47 @@ impl<'de> Deserialize<'de> for Setting {
     }
 }
 
-pub fn mounting<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Mounting, D::Error> {
-    Setting::deserialize(deserializer).map(|setting| setting.0)
+/// `with` for a mounting.
+pub struct MountingSetting;
+
+impl MountingSetting {
+    pub fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Mounting, D::Error> {
+        Setting::deserialize(deserializer).map(|setting| setting.0)
+    }
+
+    pub fn serialize<S: Serializer>(value: &Mounting, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.serialize_str(&value.to_string())
+    }
 }
 
-pub fn mountings<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<Mounting>, D::Error> {
-    Ok(Vec::<Setting>::deserialize(deserializer)?.into_iter().map(|setting| setting.0).collect())
+schema!(MountingSetting, |_| json_schema!({
+    "anyOf": [
+        { "enum": ["upright", "wall", "ceiling"] },
+        {
+            "type": "object",
+            "properties": { "rho": ANGLE.schema(), "phi": ANGLE.schema() },
+            "required": ["rho", "phi"],
+            "additionalProperties": false,
+        },
+    ]
+}));
+
+/// `with` for a list of mountings.
+pub struct Mountings;
+
+impl Mountings {
+    pub fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<Mounting>, D::Error> {
+        Ok(Vec::<Setting>::deserialize(deserializer)?.into_iter().map(|setting| setting.0).collect())
+    }
+
+    pub fn serialize<S: Serializer>(value: &[Mounting], serializer: S) -> Result<S::Ok, S::Error> {
+        value.iter().map(Mounting::to_string).collect::<Vec<_>>().serialize(serializer)
+    }
 }
+
+schema!(Mountings, |generator| json_schema!({
+    "type": "array", "items": MountingSetting::json_schema(generator)
+}));
 
 #[cfg(test)]
 mod tests {

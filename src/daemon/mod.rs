@@ -12,6 +12,7 @@ mod job_setup;
 mod labels;
 #[cfg(test)]
 mod logged;
+pub mod metrics;
 mod models;
 mod recorder;
 mod requests;
@@ -33,6 +34,7 @@ use crate::setup::{self, JobOptions};
 use check::{Answerable, Checked, Checker};
 use clap::Args;
 use job_setup::JobSetup;
+use metrics::Metrics;
 use plumbline_core::{ArmConnector, Distribution, Purpose, Validity};
 use plumbline_ipc::{
     IncomingRequest, Lock, ModelHeader, Progress, Server, ServerSettings, Session as SessionStatistics, StopListener,
@@ -99,6 +101,7 @@ pub fn run(options: Options) -> Result<(), Failure> {
     let lock = if options.adopt_lock { setup::adopted_lock(&id)? } else { setup::lock(&id)? };
     // A stop is taken from here on, also while the excitation is planned.
     let stops = stop_relay(&lock, &job)?;
+    let endpoint = metrics::bind(&job)?;
     let arm: Arc<dyn ArmConnector> = setup::backend::connector(&job, &robot)?.into();
     let _arm = setup::arm_lock(arm.as_ref())?;
     let arm_limits = arm.read_limits().map_err(Failure::job)?;
@@ -107,8 +110,9 @@ pub fn run(options: Options) -> Result<(), Failure> {
     if options.end_with_stdin {
         ending.watch_parent()?;
     }
-    // Its thread begins before any other has a real-time priority.
+    // Their threads begin before any other has a real-time priority.
     let recorder = Recorder::start(&job, &id, &out)?;
+    let _metrics = endpoint.map(|listener| Metrics::start(listener, &id)).transpose().map_err(Failure::job)?;
     let names = programme.motions().map(|motion| (motion.number, motion.name.clone())).collect();
     let rest = setup::rest(&job, &robot)?;
     let setup = JobSetup { job, robot, arm, arm_limits, rest, names };

@@ -18,7 +18,7 @@ use plumbline_model::{G, Mounting};
 use serde::Deserialize;
 
 /// Definition of the two slopes, given in the sensor's data sheet.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, schemars::JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum SlopeConvention {
     /// Each axis against the horizontal plane, `asin` of its share of gravity ("perpendicular", "pitch and roll").

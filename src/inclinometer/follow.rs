@@ -9,7 +9,7 @@ use nalgebra::{Unit, UnitQuaternion, Vector3};
 use plumbline_model::{Mounting, angle_between};
 use serde::Deserialize;
 
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, schemars::JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum OnSensorLoss {
     /// No torque: a moving arm is stopped, and the model is withdrawn until there is a reading again.

@@ -20,6 +20,11 @@ pub const EVENTS: &str = "/plumbline/event";
 /// Topic of the events and the daemon's remarks as text.
 pub const LOG: &str = "/rosout";
 
+/// Topic of the arm's description as URDF.
+pub const DESCRIPTION: &str = "/robot_description";
+/// Topic of the placements of its links.
+pub const TRANSFORMS: &str = "/tf";
+
 /// Name and definition of the type of `topic`.
 pub(super) fn schema(topic: &str) -> (&'static str, String) {
     let time = format!("{RULE}\nMSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n");
@@ -28,6 +33,18 @@ pub(super) fn schema(topic: &str) -> (&'static str, String) {
             "sensor_msgs/msg/JointState",
             format!(
                 "std_msgs/Header header\nstring[] name\nfloat64[] position\nfloat64[] velocity\nfloat64[] effort\n\
+                 {RULE}\nMSG: std_msgs/Header\nbuiltin_interfaces/Time stamp\nstring frame_id\n{time}"
+            ),
+        ),
+        DESCRIPTION => ("std_msgs/msg/String", "string data\n".to_string()),
+        TRANSFORMS => (
+            "tf2_msgs/msg/TFMessage",
+            format!(
+                "geometry_msgs/TransformStamped[] transforms\n\
+                 {RULE}\nMSG: geometry_msgs/TransformStamped\nstd_msgs/Header header\nstring child_frame_id\nTransform transform\n\
+                 {RULE}\nMSG: geometry_msgs/Transform\nVector3 translation\nQuaternion rotation\n\
+                 {RULE}\nMSG: geometry_msgs/Vector3\nfloat64 x\nfloat64 y\nfloat64 z\n\
+                 {RULE}\nMSG: geometry_msgs/Quaternion\nfloat64 x\nfloat64 y\nfloat64 z\nfloat64 w\n\
                  {RULE}\nMSG: std_msgs/Header\nbuiltin_interfaces/Time stamp\nstring frame_id\n{time}"
             ),
         ),
@@ -91,7 +108,7 @@ fn unknown(found: impl ToString, expected: &'static str) -> MessageError {
     MessageError::Word { found: found.to_string(), expected }
 }
 
-fn stamp(message: &mut Encoder, log_ns: u64) {
+pub(super) fn stamp(message: &mut Encoder, log_ns: u64) {
     message.i32((log_ns / 1_000_000_000).min(i32::MAX as u64) as i32).u32((log_ns % 1_000_000_000) as u32);
 }
 

@@ -5,6 +5,7 @@
 //! | `history` | the last seconds in memory |
 //! | `about` | metadata and the loop's inputs |
 //! | `messages`, `cdr` | messages and their encoding |
+//! | `scene` | description and placements of the arm, for 3-D viewers |
 //! | `write`, `read` | the file |
 //! | `foreign` | messages of files that other programs wrote |
 //!
@@ -17,6 +18,7 @@ pub mod foreign;
 pub mod history;
 pub mod messages;
 mod read;
+mod scene;
 mod write;
 
 use about::About;

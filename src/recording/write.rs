@@ -1,6 +1,7 @@
 //! Writes recordings.
 
-use super::messages::{self, CYCLES, EVENTS, LOG};
+use super::messages::{self, CYCLES, DESCRIPTION, EVENTS, LOG, TRANSFORMS};
+use super::scene::{CYCLES_PER_MESSAGE, Scene};
 use super::{Recording, about::About};
 use mcap::records::{MessageHeader, Metadata};
 use mcap::{Attachment, McapError, WriteOptions, Writer};
@@ -63,7 +64,7 @@ impl Recording {
 
     fn write_messages(&self, writer: &mut Writer<&mut Cursor<Vec<u8>>>) -> io::Result<()> {
         let mut channels = BTreeMap::new();
-        for topic in [messages::STATES, messages::COMMANDS, CYCLES, EVENTS, LOG] {
+        for topic in [messages::STATES, messages::COMMANDS, CYCLES, EVENTS, LOG, DESCRIPTION, TRANSFORMS] {
             let (name, definition) = messages::schema(topic);
             let schema = writer.add_schema(name, "ros2msg", definition.as_bytes()).map_err(failed)?;
             channels.insert(topic, writer.add_channel(schema, topic, "cdr", &BTreeMap::new()).map_err(failed)?);
@@ -75,6 +76,11 @@ impl Recording {
             let header = MessageHeader { channel_id, sequence: sequence as u32, log_time, publish_time: log_time };
             writer.write_to_known_channel(&header, data).map_err(failed)
         };
+        let scene = Scene::of(self);
+        if let (Some(scene), Some(first)) = (&scene, self.records.first()) {
+            put(DESCRIPTION, first.cycle, at(first.state.seq, first.stamp_ns), &scene.description())?;
+        }
+        let mut shown: Option<u64> = None;
         // In order of time; events of a cycle precede its record.
         let mut events = self.events.iter().peekable();
         let mut notes = self.about.notes.iter().peekable();
@@ -90,6 +96,13 @@ impl Recording {
             }
             for (topic, data) in messages::cycle(record, &names, log_ns) {
                 put(topic, record.cycle, log_ns, &data)?;
+            }
+            // A viewer has no place for a position that is not finite.
+            if let Some(scene) = scene.as_ref().filter(|_| record.state.q.iter().all(|q| q.is_finite()))
+                && shown.is_none_or(|shown| record.state.seq.saturating_sub(shown) >= CYCLES_PER_MESSAGE)
+            {
+                shown = Some(record.state.seq);
+                put(TRANSFORMS, record.cycle, log_ns, &scene.transforms(&record.state.q, log_ns))?;
             }
         }
         for timed in events {

@@ -68,16 +68,16 @@ impl Axis {
     }
 
     fn ticks(&self) -> Vec<f64> {
+        let linear = || {
+            let raw = (self.high - self.low) / 5.0;
+            let power = 10f64.powf(raw.log10().floor());
+            let step = [1.0, 2.0, 5.0, 10.0].map(|k| k * power).into_iter().find(|step| *step >= raw).unwrap_or(raw);
+            let first = (self.low / step).ceil() as i64;
+            let last = (self.high / step).floor() as i64;
+            (first..=last).map(|k| k as f64 * step).collect()
+        };
         match self.scale {
-            Scale::Linear => {
-                let raw = (self.high - self.low) / 5.0;
-                let power = 10f64.powf(raw.log10().floor());
-                let step =
-                    [1.0, 2.0, 5.0, 10.0].map(|k| k * power).into_iter().find(|step| *step >= raw).unwrap_or(raw);
-                let first = (self.low / step).ceil() as i64;
-                let last = (self.high / step).floor() as i64;
-                (first..=last).map(|k| k as f64 * step).collect()
-            }
+            Scale::Linear => linear(),
             Scale::Log => {
                 let decades = || (self.low.log10().floor() as i32)..=(self.high.log10().ceil() as i32);
                 let within = |value: &f64| (self.low..=self.high).contains(value);
@@ -85,7 +85,10 @@ impl Axis {
                 if whole.len() > 1 {
                     return whole;
                 }
-                decades().flat_map(|k| [1.0, 2.0, 5.0].map(|digit| digit * 10f64.powi(k))).filter(within).collect()
+                let digits = |k: i32| [1.0, 2.0, 5.0].map(|digit| digit * 10f64.powi(k));
+                let some: Vec<f64> = decades().flat_map(digits).filter(within).collect();
+                // One number is no scale.
+                if some.len() > 1 { some } else { linear() }
             }
             Scale::Symmetric(linear) => {
                 let first = linear.log10().ceil() as i32;
@@ -250,7 +253,9 @@ mod tests {
         let ticks = |values: [f64; 2], scale| Axis::around("x", values, scale).unwrap().ticks();
         assert_eq!(ticks([-1.0, 1.1], Scale::Linear), [-1.0, -0.5, 0.0, 0.5, 1.0]);
         assert_eq!(ticks([0.2, 300.0], Scale::Log), [1.0, 10.0, 100.0]);
-        assert_eq!(ticks([3.0, 8.0], Scale::Log), [5.0]);
+        assert_eq!(ticks([2.0, 9.0], Scale::Log), [2.0, 5.0, 10.0]);
+        assert_eq!(ticks([3.0, 8.0], Scale::Log), [4.0, 6.0, 8.0]);
+        assert_eq!(ticks([34.7, 35.6], Scale::Log), [35.0, 40.0]);
         let both = ticks([-2.0, 30.0], Scale::Symmetric(0.01));
         assert!(
             both.contains(&0.0) && both.iter().all(|tick| (-3.0..40.0).contains(tick)) && both.len() < 9,

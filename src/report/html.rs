@@ -40,6 +40,7 @@ pub(super) fn render(report: &Report, figures: &Figures) -> io::Result<String> {
         parameters => parameters(report),
         counts => summary::counts(&report.base),
         motions => motions(report),
+        searches => searches(report),
         runs => runs(figures),
         plan => plan(figures),
         friction => friction(figures),
@@ -157,15 +158,14 @@ fn verdicts(report: &Report) -> Vec<Value> {
         let class = good.map_or("", |good| if good { "good" } else { "bad" });
         context! { value, unit, what, class }
     };
-    let mut tiles = vec![tile(
-        report.base.count.to_string(),
-        "base parameters",
-        match report.base.effects {
+    let mut tiles = Vec::new();
+    if report.base.count > 0 {
+        let what = match report.base.effects {
             0 => format!("{} of {}", report.base.kind, report.robot),
             effects => format!("{} of {}, and {effects} of effects", report.base.kind, report.robot),
-        },
-        None,
-    )];
+        };
+        tiles.push(tile(report.base.count.to_string(), "base parameters", what, None));
+    }
     if let Some(first) = report.conditions.first() {
         tiles.push(tile(digits(first.with_friction), "", format!("condition number, {}", first.definition), None));
     }
@@ -350,6 +350,15 @@ fn plan(figures: &Figures) -> Option<Value> {
         side => safe(plot::path(plan, [0, 2], ["x / m", "z / m"])),
         top => safe(plot::path(plan, [0, 1], ["x / m", "y / m"])),
     })
+}
+
+/// Name and course of every motion that was searched for.
+fn searches(report: &Report) -> Vec<Value> {
+    let drawn = |of: &super::MotionUsage| {
+        let plot = filled(model_plots::search(of.search.as_ref()?))?;
+        Some(context! { motion => &of.motion, plot })
+    };
+    report.motions.iter().filter_map(drawn).collect()
 }
 
 /// Use of each joint's range and speed by every motion in %.

@@ -28,6 +28,7 @@ pub use timing::{IpcReport, LoopReport};
 
 use crate::atomic;
 use crate::failure::Failure;
+use plumbline_excite::{Plan, PlanSearch, PlanUsage};
 use plumbline_identify::check::Finding;
 use plumbline_ipc::GuestCounts;
 use plumbline_model::{Mounting, Parameter, TorqueModel};
@@ -65,7 +66,7 @@ pub struct Report {
     pub identifiability: Identifiability,
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub conditions: Vec<Condition>,
-    /// Use of the joints' limits by the job's motions; empty for recorded data.
+    /// Use of the joints' limits by the job's motions, and how they were searched; empty for recorded data.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub motions: Vec<MotionUsage>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -160,6 +161,17 @@ pub struct MotionUsage {
     pub range: Vec<f64>,
     /// Highest speed, of the highest speed that the joint has anywhere.
     pub speed: Vec<f64>,
+    /// Course of the search that found the motion; absent where none did.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub search: Option<PlanSearch>,
+}
+
+impl MotionUsage {
+    /// Of a planned motion; `None` where its plan does not have the use of the limits.
+    pub fn of(motion: &str, plan: &Plan) -> Option<MotionUsage> {
+        let PlanUsage { range, speed } = plan.usage.clone()?;
+        Some(MotionUsage { motion: motion.to_string(), range, speed, search: plan.search.clone() })
+    }
 }
 
 impl Base {

@@ -4,6 +4,7 @@ use super::ParameterFacts;
 use super::chart::{Axis, Chart, Scale, escaped};
 use super::figures::{Bin, DurationFigure, FrictionFigure, PlanFigure};
 use super::summary::digits;
+use plumbline_excite::{Criterion, PlanSearch};
 use std::fmt::Write;
 
 /// From this share of its value on, a standard deviation marks a parameter as weak.
@@ -152,6 +153,32 @@ pub fn limits(plan: &PlanFigure) -> String {
     chart.svg()
 }
 
+/// Evaluations per unit of the axis of [`search`].
+const EVALUATIONS: f64 = 1e3;
+
+/// The criterion of a search and its best value over the evaluations of the objective, as a staircase; empty for a search without a motion.
+pub fn search(of: &PlanSearch) -> String {
+    let name = match of.criterion {
+        Criterion::Raw => "condition number",
+        Criterion::RawRigid => "condition number, rigid body",
+        Criterion::Equilibrated => "condition number, column-equilibrated",
+        Criterion::Weighted => "condition number, noise-weighted",
+        Criterion::LogDet => "exp(criterion log-det)",
+    };
+    let steps: Vec<(f64, f64)> =
+        of.evaluations.iter().zip(&of.best).map(|(count, best)| (*count as f64 / EVALUATIONS, *best)).collect();
+    let x = Axis::around("evaluations / 1000", [0.0].into_iter().chain(steps.iter().map(|(x, _)| *x)), Scale::Linear);
+    let y = Axis::around(name, of.best.iter().copied(), Scale::Log);
+    let (Some(x), Some(y)) = (x, y) else { return String::new() };
+    let mut chart = Chart::new(Axis { low: 0.0, ..x }, y, 220.0);
+    let corners = steps.windows(2).flat_map(|pair| [pair[0], (pair[1].0, pair[0].1)]);
+    chart.line("m", corners.chain(steps.last().copied()));
+    for (x, best) in &steps {
+        chart.dot("md", *x, *best, &format!("{} after {:.0} evaluations", digits(*best), EVALUATIONS * x));
+    }
+    chart.svg()
+}
+
 /// Durations as bars, both axes logarithmic.
 pub fn durations(of: &DurationFigure) -> String {
     let most = of.counts.iter().copied().max().unwrap_or(0) as f64;
@@ -164,4 +191,26 @@ pub fn durations(of: &DurationFigure) -> String {
         chart.bar("count", [ends[0], ends[1]], [0.5, *count as f64], &about);
     }
     chart.svg()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_search_is_a_staircase_down_to_its_last_motion() {
+        let course =
+            PlanSearch { criterion: Criterion::Raw, evaluations: vec![1000, 4000, 9000], best: vec![40.0, 20.0, 20.0] };
+        let svg = search(&course);
+        assert!(svg.contains(">evaluations / 1000<") && svg.contains(">condition number<"), "{svg}");
+        assert!(svg.contains("20.0 after 4000 evaluations") && svg.matches("<circle").count() == 3, "{svg}");
+        // Two steps: across at the old value, then down; the last one does not fall.
+        let line = svg.split(r#"class="m" d="M"#).nth(1).unwrap().split('"').next().unwrap();
+        let places: Vec<Vec<f64>> =
+            line.split('L').map(|place| place.split(' ').map(|at| at.parse().unwrap()).collect()).collect();
+        assert_eq!(places.len(), 5, "{line}");
+        assert!(places[0][1] == places[1][1] && places[1][1] < places[2][1] && places[2][1] == places[4][1], "{line}");
+        assert!(places.windows(2).all(|pair| pair[1][0] >= pair[0][0]), "{line}");
+        assert!(search(&PlanSearch { evaluations: vec![], best: vec![], ..course }).is_empty());
+    }
 }

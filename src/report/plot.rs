@@ -82,7 +82,8 @@ fn curves(area: &Area, of: Curves) -> Drawn {
     let Curves { t: (t0, t1), y: (low, high), y_name, x_name, y_ticks, band, lines } = of;
     let mut chart = ChartBuilder::on(area)
         .margin(6)
-        // Half of the last number of the axis.
+        // Half of the last number of each axis.
+        .margin_top(12)
         .margin_right(16)
         .set_label_area_size(LabelAreaPosition::Left, 78)
         .set_label_area_size(LabelAreaPosition::Bottom, if x_name.is_empty() { 28 } else { 50 })

@@ -2,6 +2,7 @@
 
 mod file;
 mod replay;
+mod scene;
 
 use nalgebra::DMatrix;
 use plumbline::postmortem::replay::{ReplayError, ReplayInputs, ReplayResult, replay};

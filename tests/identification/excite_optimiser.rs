@@ -121,6 +121,13 @@ fn a_search_improves_keeps_every_limit_and_repeats_by_seed_on_any_number_of_thre
     assert_eq!(last.done, last.of);
     assert!((last.best / plan.conditions.raw - 1.0).abs() < 1e-9, "{} {}", last.best, plan.conditions.raw);
 
+    // Its course ends with the motion that was found.
+    let course = plan.search.as_ref().unwrap();
+    assert_eq!((course.criterion, course.best.len()), (Criterion::Raw, course.evaluations.len()));
+    assert!(course.best.windows(2).all(|w| w[1] <= w[0]) && course.evaluations.windows(2).all(|w| w[1] > w[0]));
+    assert!((course.best.last().unwrap() / plan.conditions.raw - 1.0).abs() < 1e-9, "{course:?}");
+    assert!(course.evaluations[0] > 100 && course.best.len() <= 1 + 1 + 1, "{course:?}");
+
     let fourier = plan.fourier().unwrap();
     let check = verify_with_guard(&problem, &fourier);
     assert!(check.is_feasible());
@@ -134,6 +141,7 @@ fn a_search_improves_keeps_every_limit_and_repeats_by_seed_on_any_number_of_thre
     // Random motions have some hundreds; a random search of some seconds 58.
     let any = random_plan(&problem, &short(), 1.0).unwrap();
     assert!(plan.conditions.raw < 50.0 && any.conditions.raw > 100.0, "{} {}", plan.conditions.raw, any.conditions.raw);
+    assert_eq!(any.search, None);
 
     assert_eq!(optimise(&problem, &short(), &[], &SearchControl::with_threads(3)).unwrap(), plan);
     let other = optimise(&problem, &Search { seed: 6, ..short() }, &[], &SearchControl::with_threads(2)).unwrap();

@@ -69,7 +69,12 @@ fn report() -> Report {
             condition("noise-weighted", 148.0, 139.5),
         ],
         motions: ["identify-wall", "validate-wall-1"]
-            .map(|motion| MotionUsage { motion: motion.into(), range: vec![0.4; 7], speed: vec![0.875; 7] })
+            .map(|motion| MotionUsage {
+                motion: motion.into(),
+                range: vec![0.4; 7],
+                speed: vec![0.875; 7],
+                search: None,
+            })
             .to_vec(),
         estimator: None,
         gravity: None,

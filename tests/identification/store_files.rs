@@ -3,7 +3,7 @@
 use nalgebra::{DMatrix, Vector3};
 use plumbline::store::*;
 use plumbline_core::BadInput;
-use plumbline_excite::{Constraints, Margins, Plan, PlanUsage, parse_plan, plan_text};
+use plumbline_excite::{Constraints, Criterion, Margins, Plan, PlanSearch, PlanUsage, parse_plan, plan_text};
 use plumbline_identify::external::ResidualSpectrum;
 use plumbline_identify::{Spread, TorqueUncertainty};
 use plumbline_model::term::Sample;
@@ -355,6 +355,11 @@ fn plan() -> Plan {
             margins: Margins::default(),
         },
         usage: Some(PlanUsage { range: vec![0.5, 0.1, 0.987], speed: vec![1.0, 0.0, 0.123] }),
+        search: Some(PlanSearch {
+            criterion: Criterion::Raw,
+            evaluations: vec![1200, 4000, u64::from(u32::MAX)],
+            best: vec![150.25, 130.5, 130.5],
+        }),
     }
 }
 

@@ -91,14 +91,19 @@ fn a_guard_stop_during_a_motion() {
     if let Some(python) = peers::interpreter_in("flight", &["mcap-ros2-support==0.5.*"]) {
         let script = "import sys, collections\n\
                       from mcap_ros2.reader import read_ros2_messages\n\
-                      count = collections.Counter()\n\
+                      count, last = collections.Counter(), {}\n\
                       for m in read_ros2_messages(sys.argv[1]):\n\
                       \x20   count[m.channel.topic] += 1\n\
-                      \x20   last = m.ros_msg if m.channel.topic == '/joint_states' else None or (last if count else None)\n\
-                      print(count['/joint_states'], count['/command'], count['/plumbline/cycle'], len(last.position), repr(last.position[6]))\n";
+                      \x20   last[m.channel.topic] = m.ros_msg\n\
+                      position, frames = last['/joint_states'].position, last['/tf'].transforms\n\
+                      print(count['/joint_states'], count['/command'], count['/plumbline/cycle'], len(position), repr(position[6]))\n\
+                      joints = last['/robot_description'].data.count('type=\"revolute\"')\n\
+                      print(count['/tf'], len(frames), frames[-1].child_frame_id, joints)\n";
         let done = Done::of(Command::new(python).args(["-c", script]).arg(&file)).expect_code(0);
         let last = Recording::read(&file).unwrap().records[cycles - 1];
-        assert_eq!(done.out.trim(), format!("{cycles} {cycles} {cycles} 7 {:?}", last.state.q[6]), "{}", done.output());
+        let placements = cycles.div_ceil(20);
+        let expected = format!("{cycles} {cycles} {cycles} 7 {:?}\n{placements} 9 panda_flange 7", last.state.q[6]);
+        assert_eq!(done.out.trim(), expected, "{}", done.output());
     }
 }
 

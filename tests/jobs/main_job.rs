@@ -151,6 +151,9 @@ fn fails_without_the_two(report: &Report) {
 fn leaves_files_that_work(place: &Place, report: &Report) {
     let html = std::fs::read_to_string(place.out().join("report.html")).unwrap();
     assert!(html.contains("<svg") && html.trim_end().ends_with("</html>"));
+    let searched: Vec<&str> =
+        report.motions.iter().filter(|motion| motion.search.is_some()).map(|motion| motion.motion.as_str()).collect();
+    assert!(searched.first() == Some(&"identify-wall") && html.contains("evaluations / 1000"), "{searched:?}");
     let file = ModelFile::load(&place.out().join("model.toml"), |name| Ok(Robot::load(name, None)?.chain)).unwrap();
     let uncertainty = file.uncertainty.as_ref().unwrap();
     for (c, (written, reported)) in file.model.parameters().iter().zip(&report.base.parameters).enumerate() {

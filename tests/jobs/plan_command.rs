@@ -31,7 +31,8 @@ fn motions_for_identification_and_validation_differ_and_repeat_by_seed() {
         "equilibrated",
         "--links-in-box",
     ];
-    let done = Done::of(plan(&out, &more)).expect_code(0);
+    let mut command = plan(&out, &more);
+    let done = Done::of(command.arg("--page").arg(place.path().join("page.html"))).expect_code(0);
     assert!(done.out.contains("with the 1 before it: condition raw"), "{}", done.output());
     assert!(!out.exists());
     let load = |name: &str| load_plan(&place.path().join(name)).unwrap();
@@ -39,6 +40,17 @@ fn motions_for_identification_and_validation_differ_and_repeat_by_seed() {
     assert!(plans[0].a != plans[1].a && plans[1].a != plans[2].a && plans[0].q0 != plans[1].q0);
     assert!(plans.iter().all(|plan| plan.constraints.tau.is_some() && plan.constraints.links_in_box));
     assert!(plans[0].conditions.equilibrated < plans[2].conditions.equilibrated);
+
+    // The pages show the motions; a random one was not searched for.
+    for (page, searched) in [("page-1.html", true), ("page-2.html", true), ("page-validate-1.html", false)] {
+        let html = std::fs::read_to_string(place.path().join(page)).unwrap();
+        assert_eq!(html.contains("evaluations / 1000"), searched, "{page}");
+        assert!(html.contains("id=\"arm\"") && html.contains("Use of the joints' limits"), "{page}");
+        assert!(!html.contains("0 base parameters") && !html.contains(">Parameters<"), "{page}");
+    }
+    let course = plans[0].search.as_ref().unwrap();
+    assert!((course.best.last().unwrap() / plans[0].conditions.equilibrated - 1.0).abs() < 1e-9, "{course:?}");
+    assert_eq!(plans[2].search, None);
 
     let again = place.path().join("again.toml");
     Done::of(plan(&again, &["--rounds", "0", "--model", model, "--criterion", "equilibrated", "--links-in-box"]))

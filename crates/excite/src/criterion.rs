@@ -10,6 +10,7 @@ use serde::{Deserialize, Serialize};
 
 /// Criterion that a search minimises.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum Criterion {
     /// Condition number of the stacked base regressor `W`.

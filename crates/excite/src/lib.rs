@@ -45,7 +45,7 @@ pub use nominal::Nominal;
 pub use optimiser::grid::Grid;
 pub use optimiser::objective::{Objective, Smoothing};
 pub use optimiser::optimise;
-pub use plan::{Constraints, Plan, PlanUsage, parse_plan, plan_text};
+pub use plan::{Constraints, Plan, PlanSearch, PlanUsage, parse_plan, plan_text};
 pub use scored::best_by_score;
 pub use search::{
     Problem, Progress, Search, SearchControl, motion_samples, random_plan, stacked_conditions, verify_with_guard,

@@ -1,6 +1,7 @@
 //! Plan file: a motion with its constraints and condition numbers.
 
 use super::ExciteError;
+use super::criterion::Criterion;
 use super::fourier::Fourier;
 use super::limits::{Bounds, Margins};
 use super::usage::Usage;
@@ -38,6 +39,46 @@ pub struct Plan {
     /// Shares of each joint's limits that the motion uses, for reports; absent in plans of earlier versions.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub usage: Option<PlanUsage>,
+    /// Course of the search that found the motion, for reports; absent for a random motion and in plans of earlier versions.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub search: Option<PlanSearch>,
+}
+
+/// Course of a search: the best criterion over the evaluations of the objective. Both lists have one entry per group of starts or round that found a
+/// better motion, and one for the end of the search.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, rename_all = "kebab-case")]
+pub struct PlanSearch {
+    /// Criterion that was minimised; of the stacked regressor where the motion complements others.
+    pub criterion: Criterion,
+    /// Evaluations of the objective with its gradient since the begin of the search.
+    pub evaluations: Vec<u64>,
+    /// Best criterion: a condition number, or the exponential of [`Criterion::LogDet`].
+    pub best: Vec<f64>,
+}
+
+impl PlanSearch {
+    /// A search that has not found a motion.
+    pub(super) fn new(criterion: Criterion) -> PlanSearch {
+        PlanSearch { criterion, evaluations: Vec::new(), best: Vec::new() }
+    }
+
+    /// Adds the `best` criterion after `evaluations`, where it is better than before.
+    pub(super) fn add(&mut self, evaluations: u64, best: f64) {
+        if self.best.last().is_none_or(|before| best < *before) {
+            self.evaluations.push(evaluations);
+            self.best.push(best);
+        }
+    }
+
+    /// Adds the end of the search.
+    pub(super) fn end(mut self, evaluations: u64) -> PlanSearch {
+        if let Some(best) = self.best.last().copied().filter(|_| self.evaluations.last() != Some(&evaluations)) {
+            self.evaluations.push(evaluations);
+            self.best.push(best);
+        }
+        self
+    }
 }
 
 /// Shares of the limits less margins that a motion uses, one entry per joint.

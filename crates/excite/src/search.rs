@@ -383,6 +383,7 @@ pub(super) fn plan_of(problem: &Problem, search: &Search, fourier: Fourier) -> R
         conditions: evaluate(problem.structure, &motion, problem.sigma),
         constraints: Constraints::of(&problem.bounds, problem.nominal.is_some()),
         usage: Some(PlanUsage::of(&usage(&problem.bounds, &fourier))),
+        search: None,
     })
 }
 

@@ -22,6 +22,7 @@ pub enum RobotKind {
 
 /// What the commands hold.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum Interface {
     /// Joint positions: the arm's own controller follows them.
@@ -35,6 +36,7 @@ pub enum Interface {
 
 /// The arm's own controller under a motion of positions or velocities.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum Controller {
     /// Stiffness per joint.
@@ -47,6 +49,7 @@ pub enum Controller {
 /// The impedance law of [`Interface::Torque`]:
 /// `tau_J_d = stiffness (q_d - q) + damping (dq_d - dq) + feed-forward`, within the torque limits and their rate.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, default, rename_all = "kebab-case")]
 pub struct TorqueControl {
     /// Per joint \[Nm/rad\].

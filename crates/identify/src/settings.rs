@@ -4,6 +4,7 @@ use serde::{Deserialize, Serialize};
 
 /// Differentiation of filtered positions.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum Derivative {
     /// Spectral differentiation, exact for a periodic motion. An aperiodic run uses central differences.
@@ -15,6 +16,7 @@ pub enum Derivative {
 
 /// Signal-processing method.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum Method {
     /// Spectral derivatives behind a wide low-pass, more accurate for periodic motions ([`Settings::default`]).

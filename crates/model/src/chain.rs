@@ -10,6 +10,7 @@ use serde::Deserialize;
 
 /// Kind of a joint.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum JointKind {
     /// Rotates about its z axis; its position is an angle \[rad\].

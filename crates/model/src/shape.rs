@@ -9,6 +9,7 @@ type V3 = Vector3<f64>;
 
 /// A segment with a radius, fixed to a link.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, rename_all = "kebab-case")]
 pub struct Capsule {
     /// Link that it is fixed to, from 1; 0 is the base.

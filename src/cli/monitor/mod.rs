@@ -1,17 +1,15 @@
 //! `plumbline monitor`: the live view of a running daemon.
 
 mod view;
-mod watched;
 
 use crate::failure::Failure;
+use crate::monitor::Monitor;
 use clap::Args;
-use plumbline_ipc::{Client, IpcError, ModelClient, Request, Response, RobotId, SampleWatcher};
-use plumbline_model_file::models;
+use plumbline_ipc::{Request, Response, RobotId};
 use ratatui::DefaultTerminal;
 use ratatui::crossterm::event::{self, Event, KeyCode, KeyEventKind, KeyModifiers};
 use std::io::IsTerminal;
 use std::time::{Duration, Instant};
-use watched::Watched;
 
 /// Options of `plumbline monitor`.
 #[derive(Args)]
@@ -21,6 +19,7 @@ pub struct Options {
     robot: String,
 }
 
+/// Wait for the daemon at the start.
 const TIMEOUT: Duration = Duration::from_secs(2);
 /// Interval of the display.
 const FRAME: Duration = Duration::from_millis(100);
@@ -95,34 +94,29 @@ pub fn run(options: Options) -> Result<(), Failure> {
         ));
     }
     // Before the screen is taken: a missing daemon is named in plain text.
-    let client = Client::connect_operator(&id, TIMEOUT).map_err(crate::cli::unreachable)?;
+    let mut monitor = Monitor::new(id);
+    monitor.connect(TIMEOUT).map_err(crate::cli::unreachable)?;
     let mut terminal = ratatui::try_init().map_err(|error| Failure::job(format!("terminal: {error}")))?;
-    let ended =
-        Monitor { id, client: Some(client), samples: None, model: None, watched: Watched::default(), asked: None }
-            .follow(&mut terminal);
+    let ended = Screen { monitor, asked: None }.follow(&mut terminal);
     ratatui::restore();
     ended
 }
 
-struct Monitor {
-    id: RobotId,
-    client: Option<Client>,
-    samples: Option<SampleWatcher>,
-    model: Option<ModelClient>,
-    watched: Watched,
+struct Screen {
+    monitor: Monitor,
     asked: Option<Order>,
 }
 
-impl Monitor {
+impl Screen {
     fn follow(mut self, terminal: &mut DefaultTerminal) -> Result<(), Failure> {
         let mut last: Option<Instant> = None;
         loop {
             if last.is_none_or(|last| last.elapsed() >= STATUS) {
                 last = Some(Instant::now());
-                self.query();
+                self.monitor.query();
             }
-            self.read();
-            let (watched, asked) = (&self.watched, self.asked);
+            self.monitor.read();
+            let (watched, asked) = (&self.monitor.watched, self.asked);
             terminal
                 .draw(|frame| view::draw(frame, watched, asked.map(Order::question)))
                 .map_err(|error| Failure::job(format!("terminal: {error}")))?;
@@ -149,60 +143,24 @@ impl Monitor {
         }
     }
 
-    /// Asks for the status, connecting anew to a daemon that was started again.
-    fn query(&mut self) {
-        let short = Duration::from_millis(50);
-        if self.client.is_none() {
-            self.client = Client::connect_operator(&self.id, short).ok();
-        }
-        let answer = self.client.as_mut().map(|client| client.send(&Request::Status {}, TIMEOUT));
-        match answer {
-            Some(Ok(Response::Status(status))) => self.watched.status(*status),
-            Some(Err(IpcError::NoDaemon { .. })) | None => {
-                (self.client, self.samples, self.model) = (None, None, None);
-                self.watched.gone();
-            }
-            Some(Ok(_) | Err(_)) => {}
-        }
-        if self.client.is_some() && self.samples.is_none() {
-            self.samples = SampleWatcher::connect(&self.id, short).ok();
-            self.model = ModelClient::connect(&self.id, short).ok();
-        }
-    }
-
-    /// Takes samples and models that have arrived.
-    fn read(&mut self) {
-        let watched = &mut self.watched;
-        if let Some(samples) = &mut self.samples
-            && samples.take(|record| watched.record(record)).is_err()
-        {
-            self.samples = None;
-        }
-        if let Some(Ok(Some(message))) = self.model.as_mut().map(ModelClient::receive)
-            && let Ok((file, _)) = models::parse("the served model", &message.text, None)
-        {
-            self.watched.floor = file.noise_floor;
-        }
-    }
-
     fn stop(&mut self) {
         self.asked = None;
-        let said = match plumbline_ipc::stop(&self.id) {
+        let said = match plumbline_ipc::stop(self.monitor.id()) {
             Ok(taken) => format!("stop: the daemon (process {}) has received it", taken.process),
             Err(error) => format!("STOP FAILED: {error}"),
         };
-        self.watched.note(said);
+        self.monitor.watched.note(said);
     }
 
     fn send(&mut self, request: &Request) {
         let order = request.order().unwrap_or("status");
-        let said = match self.client.as_mut().map(|client| client.send(request, TIMEOUT)) {
+        let said = match self.monitor.send(request) {
             Some(Ok(Response::Refused { reason })) => format!("{order} refused: {reason}"),
             Some(Ok(_)) => format!("{order} accepted"),
             Some(Err(error)) => format!("{order} failed: {error}"),
             None => format!("{order} failed: no daemon"),
         };
-        self.watched.note(said);
+        self.monitor.watched.note(said);
     }
 }
 

@@ -1,6 +1,6 @@
 //! The screen of the live view: 80 columns and 24 lines are enough.
 
-use super::watched::{BINS, Watched, bin_name, progress};
+use crate::monitor::watched::{BINS, Watched, bin_name, progress};
 use plumbline_ipc::{Progress, Status};
 use ratatui::Frame;
 use ratatui::layout::{Constraint, Layout, Rect};
@@ -9,7 +9,7 @@ use ratatui::text::{Line, Span};
 use ratatui::widgets::{Block, Clear, Paragraph};
 
 /// Width of a bar.
-const BAR: usize = 14;
+const BAR: usize = 10;
 /// Share of a limit from which on a value is marked.
 const NEAR: f64 = 0.9;
 /// Ratio of a residual to the noise floor from which on it is marked.
@@ -97,7 +97,10 @@ fn remark(status: &Status) -> Line<'_> {
 
 /// One row per joint under a heading.
 fn joint_rows(of: &Watched) -> Vec<Line<'static>> {
-    let head = format!("   q / deg {:BAR$}   dq    tau / Nm  of limit  served  residual  floor", "in its range");
+    let head = format!(
+        "{:>9} {:BAR$}{:>6}{:>9}{:>7}{:>9}{:>10}{:>7}{:>9}",
+        "q / deg", "range", "dq", "tau / Nm", "limit", "served", "residual", "floor", "external"
+    );
     let mut rows = vec![Line::raw(head).dim()];
     for j in 0..of.joints() {
         let state = &of.last.state;
@@ -115,17 +118,20 @@ fn joint_rows(of: &Watched) -> Vec<Line<'static>> {
             if of.last.model != 0 { format!("{:7.2}", of.last.command.tau_ff.0[j]) } else { format!("{:>7}", "-") };
         let (residual, floor) = (of.residual(j), of.floor.get(j).copied());
         let far = floor.is_some_and(|floor| of.last.model != 0 && residual > FAR_FROM_FLOOR * floor);
+        let external = of.external.filter(|external| external.settled);
+        let contact = external.is_some_and(|external| external.tau[j].abs() > external.threshold[j]);
         let residual = if of.last.model != 0 { format!("{residual:9.3}") } else { format!("{:>9}", "-") };
         rows.push(Line::from(vec![
             Span::raw(format!("{} ", j + 1)),
             Span::raw(format!("{:7.1} ", q.to_degrees())),
             marked(at_end, bar(place)),
             marked(speed > NEAR, format!(" {}", percent(speed))),
-            Span::raw(format!("   {tau:8.2}")),
-            marked(load > NEAR, format!("    {}", percent(load))),
+            Span::raw(format!("  {tau:7.2}")),
+            marked(load > NEAR, format!("  {}", percent(load))),
             Span::raw(format!("  {served}")),
             marked(far, format!(" {residual}")),
             Span::raw(floor.map_or(format!("{:>7}", "-"), |floor| format!("{floor:7.3}"))),
+            marked(contact, external.map_or(format!("{:>9}", "-"), |external| format!("{:9.2}", external.tau[j]))),
         ]));
     }
     rows
@@ -219,11 +225,11 @@ mod tests {
         assert!(screen[1].contains("model 00000000000055bc") && screen[1].contains("1234 cycles, 0 lost"), "{text}");
         let joint = |j: usize| &screen[3 + j];
         assert!(
-            joint(2).contains("100.8 [-----------#]") && joint(2).contains("86.50") && joint(2).contains(" 99%"),
+            joint(2).contains("100.8 [-------#]") && joint(2).contains("86.50") && joint(2).contains(" 99%"),
             "{text}"
         );
-        assert!(joint(2).contains("86.3") && joint(2).ends_with("0.150"), "{text}");
-        assert!(joint(4).contains("-171.9 [#-----------]"), "{text}");
+        assert!(joint(2).contains("86.3") && joint(2).ends_with("0.150        -"), "{text}");
+        assert!(joint(4).contains("-171.9 [#-------]"), "{text}");
         assert!(
             text.contains("wake-up latency")
                 && text.contains("\u{2588}\u{2588}\u{2588}\u{2588}")

@@ -122,6 +122,7 @@ fn one_round(options: &Options, before: Option<&Path>) -> Result<(), Failure> {
     let connector = crate::setup::backend::connector(&job, &robot)?;
     let arm = crate::setup::arm_lock(connector.as_ref())?;
     crate::setup::rest(&job, &robot)?;
+    crate::daemon::metrics::bind(&job)?;
     if let Some(model) = &options.model {
         models::of_robot(&model.display().to_string(), &owned::read_model(model)?, &robot, "the job's robot")?;
     }

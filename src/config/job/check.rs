@@ -174,6 +174,9 @@ pub(super) fn check(job: &Job) -> Result<(), BadInput> {
     if !(1.0..=86_400.0).contains(&job.safety.model_timeout) {
         return bad("safety.model-timeout", &format!("{} s", job.safety.model_timeout), "1 s to 86400 s");
     }
+    if let Some(port) = job.serve.metrics_port.filter(|port| !(1..=65_535).contains(port)) {
+        return bad("serve.metrics-port", &port, "1 to 65535");
+    }
     let live = &job.live;
     if !(2.0..=60.0).contains(&live.window) {
         return bad("live.window", &format!("{} s", live.window), "2 s to 60 s");

@@ -5,17 +5,21 @@ use nalgebra::Matrix3;
 use plumbline_core::{BadInput, Purpose, symmetric_eigen};
 use plumbline_franka::{Controller, FrankaConnector, Interface, RobotKind, TorqueControl};
 use plumbline_model::Mounting;
+use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::de::value::SeqAccessDeserializer;
 use serde::de::{Error, SeqAccess, Unexpected, Visitor};
-use serde::{Deserialize, Deserializer};
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
+use serde_json::json;
+use std::borrow::Cow;
 use std::net::IpAddr;
 use std::time::Duration;
 
 /// A Franka arm behind the Franka Control Interface.
-#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, rename_all = "kebab-case")]
 pub struct Franka {
     /// Address of the robot's control unit in the shop-floor network.
+    #[schemars(regex(pattern = "^[0-9A-Fa-f:.]+$"))]
     pub address: IpAddr,
     #[serde(default)]
     pub interface: Interface,
@@ -38,7 +42,7 @@ pub struct Franka {
     pub torque: TorqueControl,
     /// Gravity that the robot's own controller compensates: `"upright"`, `"true"` (the one of `mounting`) or a vector in the base
     /// frame \[m/s2\]; the robot's own value (`O_ddP_O` of its state) where absent. One that disagrees with the robot's is refused.
-    #[serde(default, deserialize_with = "compensates")]
+    #[serde(default, with = "CompensatesSetting")]
     pub compensates: Option<Compensates>,
     #[serde(default)]
     pub collision: Collision,
@@ -48,14 +52,14 @@ pub struct Franka {
     #[serde(default)]
     pub socket: Socket,
     /// Timeout of a state \[s\].
-    #[serde(default = "state_timeout", deserialize_with = "units::duration")]
+    #[serde(default = "state_timeout", with = "units::Duration")]
     pub state_timeout: f64,
     /// Timeout of the connection \[s\].
-    #[serde(default = "connect_timeout", deserialize_with = "units::duration")]
+    #[serde(default = "connect_timeout", with = "units::Duration")]
     pub connect_timeout: f64,
 }
 
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Recovery {
     /// By an operator: the job ends with the next steps.
@@ -77,33 +81,58 @@ pub enum Compensates {
 
 const COMPENSATES: &str = "\"upright\", \"true\" or a gravity [x, y, z] in the base frame in m/s2";
 
-fn compensates<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<Compensates>, D::Error> {
-    struct Setting;
-    impl<'de> Visitor<'de> for Setting {
-        type Value = Compensates;
+/// `with` for [`Compensates`].
+struct CompensatesSetting;
 
-        fn expecting(&self, f: &mut std::fmt::Formatter) -> std::fmt::Result {
-            f.write_str(COMPENSATES)
-        }
+impl CompensatesSetting {
+    fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<Compensates>, D::Error> {
+        struct Setting;
+        impl<'de> Visitor<'de> for Setting {
+            type Value = Compensates;
 
-        fn visit_str<E: Error>(self, name: &str) -> Result<Compensates, E> {
-            match name {
-                "upright" => Ok(Compensates::Upright),
-                "true" => Ok(Compensates::True),
-                _ => Err(E::invalid_value(Unexpected::Str(name), &self)),
+            fn expecting(&self, f: &mut std::fmt::Formatter) -> std::fmt::Result {
+                f.write_str(COMPENSATES)
+            }
+
+            fn visit_str<E: Error>(self, name: &str) -> Result<Compensates, E> {
+                match name {
+                    "upright" => Ok(Compensates::Upright),
+                    "true" => Ok(Compensates::True),
+                    _ => Err(E::invalid_value(Unexpected::Str(name), &self)),
+                }
+            }
+
+            // `--set backend.franka.compensates=true` is a truth value in TOML.
+            fn visit_bool<E: Error>(self, is: bool) -> Result<Compensates, E> {
+                if is { Ok(Compensates::True) } else { Err(E::invalid_value(Unexpected::Bool(is), &self)) }
+            }
+
+            fn visit_seq<S: SeqAccess<'de>>(self, seq: S) -> Result<Compensates, S::Error> {
+                <[f64; 3]>::deserialize(SeqAccessDeserializer::new(seq)).map(Compensates::Along)
             }
         }
+        deserializer.deserialize_any(Setting).map(Some)
+    }
 
-        // `--set backend.franka.compensates=true` is a truth value in TOML.
-        fn visit_bool<E: Error>(self, is: bool) -> Result<Compensates, E> {
-            if is { Ok(Compensates::True) } else { Err(E::invalid_value(Unexpected::Bool(is), &self)) }
-        }
-
-        fn visit_seq<S: SeqAccess<'de>>(self, seq: S) -> Result<Compensates, S::Error> {
-            <[f64; 3]>::deserialize(SeqAccessDeserializer::new(seq)).map(Compensates::Along)
+    fn serialize<S: Serializer>(value: &Option<Compensates>, serializer: S) -> Result<S::Ok, S::Error> {
+        match value {
+            None => serializer.serialize_none(),
+            Some(Compensates::Upright) => serializer.serialize_str("upright"),
+            Some(Compensates::True) => serializer.serialize_str("true"),
+            Some(Compensates::Along(gravity)) => gravity.serialize(serializer),
         }
     }
-    deserializer.deserialize_any(Setting).map(Some)
+}
+
+impl JsonSchema for CompensatesSetting {
+    fn schema_name() -> Cow<'static, str> {
+        "Compensates".into()
+    }
+
+    fn json_schema(_: &mut SchemaGenerator) -> Schema {
+        let vector = json!({ "type": "array", "items": { "type": "number" }, "minItems": 3, "maxItems": 3 });
+        json_schema!({ "description": COMPENSATES, "anyOf": [{ "enum": ["upright", "true", true] }, vector] })
+    }
 }
 
 impl Compensates {
@@ -118,7 +147,7 @@ impl Compensates {
 }
 
 /// Thresholds of the robot's own contact and collision detection, while accelerating or not.
-#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default, rename_all = "kebab-case")]
 pub struct Collision {
     /// External torque that counts as a contact \[Nm\].
@@ -143,7 +172,7 @@ impl Default for Collision {
     }
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, rename_all = "kebab-case")]
 pub struct Load {
     /// Mass \[kg\].
@@ -156,7 +185,7 @@ pub struct Load {
 }
 
 /// Options of the UDP socket; absent ones have the system's defaults.
-#[derive(Clone, Debug, Default, PartialEq, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default, rename_all = "kebab-case")]
 pub struct Socket {
     /// `SO_PRIORITY`, 0 to 6 without privileges.

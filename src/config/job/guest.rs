@@ -2,20 +2,21 @@
 
 use crate::config::units;
 use plumbline_core::BadInput;
+use schemars::JsonSchema;
 use serde::Deserialize;
 
 /// How long is listened to an arm that another program controls.
-#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default, rename_all = "kebab-case")]
 pub struct Guest {
     /// Recorded motion to identify from \[s\].
-    #[serde(deserialize_with = "units::duration")]
+    #[serde(with = "units::Duration")]
     pub identify: f64,
     /// Recorded motion after that, kept aside to validate with; 0 s for none \[s\].
-    #[serde(deserialize_with = "units::duration")]
+    #[serde(with = "units::Duration")]
     pub validate: f64,
     /// Longest run: both are divided into runs of equal length \[s\].
-    #[serde(deserialize_with = "units::duration")]
+    #[serde(with = "units::Duration")]
     pub run: f64,
 }
 

@@ -10,15 +10,16 @@ use crate::inclinometer::slope_filter::SlopeFilterSettings;
 use crate::inclinometer::socket::SIMULATED_PREFIX;
 use plumbline_core::BadInput;
 use plumbline_model::Mounting;
+use schemars::JsonSchema;
 use serde::Deserialize;
 
 /// Check that all sources of the mounting agree before anything is served.
-#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default, rename_all = "kebab-case")]
 pub struct MountingCheck {
     /// Largest angle, beyond the uncertainty, between any two of: declared mounting, inclinometer, direction of gravity from torques at
     /// rest \[rad\].
-    #[serde(deserialize_with = "units::angle")]
+    #[serde(with = "units::Angle")]
     pub tolerance: f64,
     /// Whether torques at rest are part of the check.
     pub torques: bool,
@@ -31,7 +32,7 @@ impl Default for MountingCheck {
 }
 
 /// A CiA 410 inclinometer on the base, over SocketCAN.
-#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, rename_all = "kebab-case")]
 pub struct Inclinometer {
     /// CAN interface, such as `can0`; its bit rate is set with `ip link`. `simulated:PATH` is a Unix socket in place of a bus, for
@@ -43,10 +44,10 @@ pub struct Inclinometer {
     #[serde(default)]
     pub serial: Option<u32>,
     /// Heartbeat period of the device; three missing heartbeats are a loss \[s\].
-    #[serde(default = "heartbeat", deserialize_with = "units::duration")]
+    #[serde(default = "heartbeat", with = "units::Duration")]
     pub heartbeat: f64,
     /// Rate of the slopes \[Hz\].
-    #[serde(default = "rate", deserialize_with = "units::frequency")]
+    #[serde(default = "rate", with = "units::Frequency")]
     pub rate: f64,
     /// Slope objects: 16 (6010h, 6020h) or 32 bits (6110h, 6120h).
     #[serde(default = "bits")]
@@ -58,28 +59,28 @@ pub struct Inclinometer {
     /// The sensor's z axis (normal to its mounting plate) in the base frame.
     pub z: Axis,
     /// Zero offset of the two slopes \[rad\].
-    #[serde(default, deserialize_with = "units::angle_pair")]
+    #[serde(default, with = "units::AnglePair")]
     pub zero: [f64; 2],
     /// Largest slope that the sensor measures \[rad\].
-    #[serde(default = "range", deserialize_with = "units::angle")]
+    #[serde(default = "range", with = "units::Angle")]
     pub range: f64,
     /// Systematic standard deviation of a slope, from the data sheet \[rad\].
-    #[serde(default = "accuracy", deserialize_with = "units::angle")]
+    #[serde(default = "accuracy", with = "units::Angle")]
     pub accuracy: f64,
     /// Time constant of the low-pass \[s\].
-    #[serde(default = "time_constant", deserialize_with = "units::duration")]
+    #[serde(default = "time_constant", with = "units::Duration")]
     pub time_constant: f64,
     /// Largest plausible step of a slope between two frames \[rad\].
-    #[serde(default = "jump", deserialize_with = "units::angle")]
+    #[serde(default = "jump", with = "units::Angle")]
     pub jump: f64,
     /// Largest deviation from the low-pass of a base at rest \[rad\].
-    #[serde(default = "still", deserialize_with = "units::angle")]
+    #[serde(default = "still", with = "units::Angle")]
     pub still: f64,
     /// Smallest change of gravity that is handed over to the model \[rad\].
-    #[serde(default = "step", deserialize_with = "units::angle")]
+    #[serde(default = "step", with = "units::Angle")]
     pub step: f64,
     /// Largest rate of change of the model's gravity \[rad/s\].
-    #[serde(default = "turn", deserialize_with = "units::angular_rate")]
+    #[serde(default = "turn", with = "units::AngularRate")]
     pub turn: f64,
     #[serde(default)]
     pub on_loss: OnSensorLoss,
@@ -89,7 +90,7 @@ pub struct Inclinometer {
 }
 
 /// What the arm does when the base moves during an excitation.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum BaseMotion {
     /// A controlled stop: the samples have no single mounting.
@@ -99,7 +100,7 @@ pub enum BaseMotion {
     Say,
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, JsonSchema)]
 #[serde(untagged, expecting = "\"x\", \"-x\", \"y\", \"-y\", \"z\", \"-z\" or a unit vector such as [0.0, 0.6, 0.8]")]
 pub enum Axis {
     /// An axis of the base frame, or its opposite.
@@ -109,7 +110,7 @@ pub enum Axis {
 }
 
 /// An axis of the base frame, or its opposite.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum AxisName {
     X,

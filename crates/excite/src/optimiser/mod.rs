@@ -27,7 +27,7 @@ pub mod workers;
 use super::ExciteError;
 use super::criterion::{check_excitation, sampled, stacked};
 use super::fourier::Fourier;
-use super::plan::Plan;
+use super::plan::{Plan, PlanSearch};
 use super::search::{self, FINE_GRID_RATIO, Problem, Search, SearchControl};
 use super::usage::{check_usage, usage};
 use descent::Descent;
@@ -37,6 +37,7 @@ use plumbline_model::term::Motion;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
+use std::sync::atomic::{AtomicU64, Ordering};
 use workers::Workers;
 
 /// Stage of a descent: order of the surrogate, slope of the smoothed sign, penalty, maximum iterations.
@@ -107,9 +108,10 @@ pub fn optimise(
         .step_by(GROUP_STARTS)
         .map(|first| GROUP_STARTS.min(search.starts - first).div_ceil(STARTS_PER_DESCENT));
     let workers = Workers::new(watch, search.starts + 3 * (groups.sum::<usize>() + hops * search.rounds));
-    let task = Task { problem, search, prior, watch };
+    let task = Task { problem, search, prior, watch, evaluations: AtomicU64::new(0) };
 
     let mut best: Vec<Found> = Vec::new();
+    let mut course = PlanSearch::new(search.criterion);
     let mut first_error = None;
     let mut first = 0;
     while first < search.starts || (best.is_empty() && first < search.starts + MAX_EXTRA_STARTS) {
@@ -119,6 +121,7 @@ pub fn optimise(
         let finish = |index: usize| workers.report(task.descend(&sketches[index].fourier, &FINISH));
         let (finished, more) = sorted(workers.map(sketches.len(), 3, finish));
         best.extend(finished);
+        task.note(&best, &mut course);
         first_error = first_error.or(errors).or(more);
         first += count;
         if (watch.stop)() && (!best.is_empty() || first >= search.starts) {
@@ -138,12 +141,14 @@ pub fn optimise(
         };
         let (finished, _) = sorted(workers.map(hops, 3, hop));
         best.extend(finished);
+        task.note(&best, &mut course);
     }
     best.sort_by(|one, other| one.cost.total_cmp(&other.cost));
     match best.into_iter().next() {
         Some(found) => {
             check_excitation(problem.structure, &task.with_prior(&found.fourier))?;
-            search::plan_of(problem, search, found.fourier)
+            let course = course.end(task.evaluations());
+            search::plan_of(problem, search, found.fourier).map(|plan| Plan { search: Some(course), ..plan })
         }
         None => Err(first_error.unwrap_or(ExciteError::Budget { starts: search.starts, samples: search.samples })),
     }
@@ -169,9 +174,22 @@ struct Task<'a> {
     search: &'a Search,
     prior: &'a [Fourier],
     watch: &'a SearchControl<'a>,
+    /// Evaluations of the objective in all descents. Their sum after a group of descents does not depend on the number of threads.
+    evaluations: AtomicU64,
 }
 
 impl Task<'_> {
+    fn evaluations(&self) -> u64 {
+        self.evaluations.load(Ordering::Relaxed)
+    }
+
+    /// Adds the best motion so far to the course of the search, when no descent is running.
+    fn note(&self, best: &[Found], course: &mut PlanSearch) {
+        if let Some(cost) = best.iter().map(|found| found.cost).reduce(f64::min) {
+            course.add(self.evaluations(), cost.exp());
+        }
+    }
+
     /// Random numbers of one descent of one round; round 0 is the sketches.
     fn stream(&self, round: usize, index: usize) -> ChaCha8Rng {
         let mut rng = ChaCha8Rng::seed_from_u64(self.search.seed);
@@ -219,7 +237,11 @@ impl Task<'_> {
     fn stage(&self, objective: &mut Objective, descent: &mut Descent, stage: Stage) -> f64 {
         objective.smoothing = Smoothing { p: stage.p, sign: stage.sign };
         objective.constraints.update(stage.rho);
-        descent.run(stage.iterations, TOLERANCE, |x, gradient| objective.evaluate(x, gradient)).0
+        let evaluate = |x: &[f64], gradient: &mut [f64]| {
+            self.evaluations.fetch_add(1, Ordering::Relaxed);
+            objective.evaluate(x, gradient)
+        };
+        descent.run(stage.iterations, TOLERANCE, evaluate).0
     }
 
     /// Tightens the limits violated at 1 kHz and descends again until the motion is feasible; finally scales it down about its start pose.

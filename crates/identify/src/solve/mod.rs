@@ -39,6 +39,7 @@ use statrs::distribution::{ContinuousCDF, Normal, StudentsT};
 
 /// Estimator.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum Estimator {
     /// Ordinary least squares.
