@@ -114,6 +114,7 @@ def test_an_identification_is_that_of_the_command_line(job, tmp_path):
     assert without_date(results.model_toml) == without_date((out / "model.toml").read_text())
     expected = json.loads(without_date((out / "report.json").read_text()).replace('"date": ', '"date": ""'))
     results.report["provenance"]["date"] = expected["provenance"]["date"] = ""
+    assert expected["provenance"].pop("command").startswith("plumbline identify")
     assert results.report == expected
     assert "<iframe" in results._repr_html_() and "&lt;!doctype html&gt;" in results._repr_html_().lower()
     # The model is that of the results, in the mounting of the dataset.
@@ -137,10 +138,38 @@ def test_a_prediction_and_a_comparison_are_those_of_the_command_line(job, tmp_pa
         assert np.array_equal(prediction.tau[:, j], table[f"tau{j + 1}"])
         assert np.array_equal(prediction.low[:, j], table[f"tau{j + 1}_low"])
     assert prediction.rms_raw.shape == (7,) and 0.9 < prediction.coverage.mean() < 1
+    assert prediction.external is None
     run(PROGRAM, "compare", model, job / "dataset", "--out", tmp_path / "cli")
     compared = plumbline.compare(model, job / "dataset")
     assert compared.report["diagnosis"] == json.loads((tmp_path / "cli/report.json").read_text())["diagnosis"]
     assert compared.report["diagnosis"]["verdict"] in repr(compared)
+
+
+def test_an_external_torque_is_that_of_the_command_line(job, tmp_path):
+    model = job / "model.toml"
+    recorded = next((job / "dataset").glob("identify*.csv"))
+    # A push of 8 Nm on joint 2 for half a second.
+    table = np.genfromtxt(recorded, delimiter=",", names=True)
+    begin = table["t"][0] + 2.0
+    table["tau2"][(begin <= table["t"]) & (table["t"] < begin + 0.5)] += 8.0
+    pushed = tmp_path / "pushed.csv"
+    np.savetxt(pushed, table, delimiter=",", header=",".join(table.dtype.names), comments="", fmt="%.17g")
+    options = ["--external", "--bandwidth", "10", "--false-alarms", "0.2", "--by", "momentum", "--mounting", "wall"]
+    printed = run(PROGRAM, "predict", model, pushed, "--out", tmp_path / "tau.csv", *options).stdout
+    table = np.genfromtxt(tmp_path / "tau.csv", delimiter=",", names=True)
+    found = plumbline.predict(
+        model, pushed, mounting="wall", external=True, bandwidth=10, false_alarms=0.2, by="momentum"
+    ).external
+    assert np.array_equal(found.contact, table["contact"] == 1)
+    for j in range(7):
+        for values, name in [(found.tau, ""), (found.low, "_low"), (found.high, "_high")]:
+            assert np.array_equal(values[:, j], table[f"tau_ext{j + 1}{name}"])
+    assert found.thresholds.shape == (7,) and found.wrench_thresholds.shape == (6,)
+    assert ", ".join(f"{one:.3f}" for one in found.thresholds) in printed and f"{1e3 * found.delay:.1f} ms late" in printed
+    (contact,) = [one for one in found.contacts if 2 in one.joints]
+    assert begin < contact.begin < begin + 0.1 < contact.end and 6 < contact.torque[1] < 10
+    with pytest.raises(plumbline.InputError, match="--external"):
+        plumbline.predict(model, pushed, bandwidth=10)
 
 
 def test_a_diagnosis_is_that_of_the_command_line(job, tmp_path):
@@ -168,13 +197,20 @@ def test_planned_motions_are_those_of_the_command_line(tmp_path):
 
 
 def test_options_are_those_of_the_command_line():
-    for name in ["identify", "diagnose", "compare", "predict", "plan"]:
+    # Arrays and objects are returned instead of files and console output.
+    results = {"verbose", "quiet", "json", "open", "force"}
+    elsewhere = {
+        "identify": results,
+        "diagnose": results,
+        "compare": results,
+        "predict": {"out"},
+        "plan": {"out", "of", "csv", "ros", "rate", "periods", "joint-names", "json"},
+    }
+    for name, others in elsewhere.items():
         printed = run(PROGRAM, name, "--help").stdout
         options = set(re.findall(r"--([a-z-]+)", "\n".join(re.findall(r"^ +(?:-., )?--.*$", printed, re.M)))) - {"help"}
         known = {one.replace("_", "-") for one in inspect.signature(getattr(plumbline, name)).parameters}
-        # Arrays and objects are returned instead of a file.
-        missing = options - known - ({"out"} if name in ("predict", "plan") else set())
-        assert not missing, (name, missing)
+        assert options - known == others, (name, options - known)
 
 
 def test_bad_input_has_the_text_of_the_command_line(job, tmp_path):
@@ -328,7 +364,7 @@ def test_published_states_reach_the_daemon(tmp_path):
     tau = model.torque(q, dq, ddq)
 
     def status():
-        done = subprocess.run([PROGRAM, "command", "status", "--robot", robot], capture_output=True, text=True)
+        done = subprocess.run([PROGRAM, "command", "status", "--json", "--robot", robot], capture_output=True, text=True)
         return json.loads(done.stdout).get("guest") if done.returncode == 0 else None
 
     with subprocess.Popen(command, cwd=ROOT, stderr=subprocess.DEVNULL) as daemon:

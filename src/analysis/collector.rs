@@ -19,10 +19,15 @@ pub struct Recorded {
     pub ends: bool,
 }
 
-/// Longest gap inside a run of a motion that plumbline does not drive, in states. What is longer is no part of the regression either.
-pub const MAX_GAP: u64 = 20;
-/// Fewest samples of such a run that are kept: shorter ones are little more than the ends that the filters take.
-pub const MIN_SAMPLES: usize = 2000;
+/// Longest gap inside a run of a motion that plumbline does not drive \[s\]. What is longer is no part of the regression either.
+pub const MAX_GAP_S: f64 = 0.02;
+/// Shortest such run that is kept \[s\]: shorter ones are little more than the ends that the filters take.
+pub const MIN_RUN_S: f64 = 2.0;
+
+/// Number of states in a time, `period` \[s\] apart.
+pub fn states(seconds: f64, period: f64) -> u64 {
+    (seconds / period).round() as u64
+}
 
 /// Collects records until a motion is complete.
 pub struct Collector {
@@ -53,7 +58,8 @@ impl Present {
 
     /// Whether too many states are missing before `record`.
     fn is_after_gap(&self, record: &Record) -> bool {
-        self.records.last().is_some_and(|last| record.state.seq > last.state.seq.saturating_add(MAX_GAP))
+        let longest = states(MAX_GAP_S, self.motion.sample_period());
+        self.records.last().is_some_and(|last| record.state.seq > last.state.seq.saturating_add(longest))
     }
 
     /// Whether every sample of a motion that plumbline does not drive is there.
@@ -133,9 +139,9 @@ impl Collector {
             columns(&SERVED_TORQUES, |record, j| record.command.tau_ff.0[j]);
         }
         let first = kept.first().map_or(0, |record| record.state.seq);
-        let time = |record: &Record| match planned {
-            Some(_) => record.tick as f64 * 1e-3,
-            None => (record.state.seq - first) as f64 * 1e-3,
+        let time = |record: &Record| {
+            let count = if planned.is_some() { record.tick } else { record.state.seq - first };
+            count as f64 * motion.sample_period()
         };
         let name = match part {
             1 => format!("{}.csv", motion.name),
@@ -160,7 +166,7 @@ impl Collector {
         // The last sample of a motion is one tick after its last period.
         let complete = match planned {
             Some(_) => !broken && records.last().is_some_and(|record| record.tick + 1 >= motion.ticks() as u64),
-            None => records.len() >= MIN_SAMPLES,
+            None => records.len() as u64 >= states(MIN_RUN_S, motion.sample_period()),
         };
         Recorded { number: motion.number, role: motion.role, run, complete, ends }
     }
@@ -171,6 +177,7 @@ mod tests {
     use super::*;
     use crate::setup::programme::{Course, Planned};
     use crate::store::load_plan;
+    use plumbline_core::PERIOD_S;
     use plumbline_model::Mounting;
     use std::path::Path;
 
@@ -249,7 +256,7 @@ mod tests {
             name: format!("identify-{number}"),
             role: Role::Identify,
             mounting: Mounting::WALL,
-            course: Course::Unplanned { ticks },
+            course: Course::Unplanned { ticks, period: PERIOD_S },
         };
         let motions = vec![motion(1, 5000), motion(2, 3000)];
         let mut collector = Collector { joints: 2, motions, present: None, parts: 0, gap: false };

@@ -16,7 +16,7 @@ pub use inclinometer::{Inclinometer, MountingCheck};
 pub use resource::Resource;
 
 use super::units;
-use plumbline_core::BadInput;
+use plumbline_core::{BadInput, PERIOD_S};
 use plumbline_excite::{Criterion, Margins};
 use plumbline_identify::{Derivative, Method, solve};
 use plumbline_model::Mounting;
@@ -124,6 +124,11 @@ impl Backend {
     /// How long is listened to an arm that another program controls; `None` for an arm that plumbline drives.
     pub fn guest(&self) -> Option<Guest> {
         (self.kind == BackendKind::Guest).then(|| self.guest.clone().unwrap_or_default())
+    }
+
+    /// Time between two states of the arm \[s\].
+    pub fn sample_period(&self) -> f64 {
+        self.guest().map_or(PERIOD_S, |guest| guest.period())
     }
 
     /// Whether a loop commands the arm at the pace of the clock.

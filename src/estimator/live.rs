@@ -3,7 +3,7 @@
 mod log;
 
 use self::log::{Event, Log, Stretch};
-use crate::analysis::collector::MAX_GAP;
+use crate::analysis::collector::{MAX_GAP_S, states};
 use crate::analysis::pipeline;
 use crate::config::job::{Adopt, Job};
 use crate::dataset::Run;
@@ -22,8 +22,6 @@ use std::collections::VecDeque;
 use std::path::{Path, PathBuf};
 use std::thread::JoinHandle;
 
-/// Time between records \[s\].
-const SAMPLE_PERIOD_S: f64 = 1e-3;
 /// Length of the identification motion from which the usual error is computed \[s\].
 const CALIBRATION_S: f64 = 60.0;
 /// Time around a change that takes no part in a search: the low-pass spreads it, and its begin is known to a tenth of a second \[s\].
@@ -84,6 +82,8 @@ struct Known {
 pub struct Live {
     adopt: Adopt,
     window: f64,
+    /// Time between records \[s\].
+    period: f64,
     joints: usize,
     robot: Robot,
     settings: Settings,
@@ -110,6 +110,8 @@ pub struct Live {
     /// What the daemon is to be told about its model.
     verdict: Option<Verdict>,
     log: Log,
+    /// Events that are in `live.json`.
+    written_events: usize,
     notes: Vec<String>,
 }
 
@@ -119,6 +121,7 @@ impl Live {
         job.live.watch.then(|| Live {
             adopt: job.live.adopt,
             window: job.live.window,
+            period: job.backend.sample_period(),
             joints: robot.chain.len(),
             robot: robot.clone(),
             settings: Settings { rest: Some(REST_SPEED), ..job.settings() },
@@ -137,6 +140,7 @@ impl Live {
             proposed: None,
             verdict: None,
             log: Log::default(),
+            written_events: 0,
             notes: Vec::new(),
         })
     }
@@ -149,7 +153,7 @@ impl Live {
         text: &str,
         run: &Run,
     ) -> Result<(), Failure> {
-        let samples = run.samples().min((CALIBRATION_S / SAMPLE_PERIOD_S) as usize);
+        let samples = run.samples().min(self.samples(CALIBRATION_S));
         let part = plumbline_identify::Run { period: None, ..run.data.part(0, samples) };
         let floor = Floor::of(model, &pipeline::experiment(&part, &self.settings)?);
         (self.log.usual, self.log.limit) = (floor.usual.clone(), floor.limit.clone());
@@ -169,24 +173,30 @@ impl Live {
         if self.serving != record.model {
             self.handle_served_model(record);
         }
+        let longest = self.samples(MAX_GAP_S) as u64;
         let is_apart = |before: &Record| {
-            before.motion != record.motion || record.state.seq > before.state.seq.saturating_add(MAX_GAP)
+            before.motion != record.motion || record.state.seq > before.state.seq.saturating_add(longest)
         };
         if self.buffer.back().is_some_and(is_apart) {
             self.clear();
         }
         self.buffer.push_back(*record);
         self.samples_since_stretch += 1;
-        if self.buffer.len() > samples(self.window.max(REFINED_S) + ONSET_WINDOW_S + 4.0 * STRETCH_S) {
+        if self.buffer.len() > self.samples(self.window.max(REFINED_S) + ONSET_WINDOW_S + 4.0 * STRETCH_S) {
             self.buffer.pop_front();
         }
-        let needed = samples(STRETCH_S + 2.0 * END_MARGIN_S) + 2 * self.edge();
-        if self.samples_since_stretch < samples(STRETCH_S) || self.buffer.len() < needed {
+        let needed = self.samples(STRETCH_S + 2.0 * END_MARGIN_S) + 2 * self.edge();
+        if self.samples_since_stretch < self.samples(STRETCH_S) || self.buffer.len() < needed {
             return Ok(None);
         }
         self.samples_since_stretch = 0;
         self.evaluate_stretch(needed);
-        self.search()
+        let offer = self.search()?;
+        // An arm that plumbline does not drive is watched without an end.
+        if self.log.events.len() > self.written_events {
+            self.write()?;
+        }
+        Ok(offer)
     }
 
     /// What is new about the served model.
@@ -217,7 +227,8 @@ impl Live {
         Ok(std::mem::take(&mut self.notes))
     }
 
-    fn write(&self) -> Result<(), Failure> {
+    fn write(&mut self) -> Result<(), Failure> {
+        self.written_events = self.log.events.len();
         let text = serde_json::to_string_pretty(&self.log).map_err(Failure::job)? + "\n";
         crate::atomic::write_result(&self.out.join("live.json"), text.as_bytes())
     }
@@ -228,7 +239,7 @@ impl Live {
 
     /// Maximum number of samples that the preparation removes at each end.
     fn edge(&self) -> usize {
-        samples(0.5)
+        self.samples(0.5)
     }
 
     fn handle_served_model(&mut self, record: &Record) {
@@ -250,12 +261,12 @@ impl Live {
         let Some(experiment) = self.prepared(first, self.buffer.len()) else { return };
         let Some(model) = self.model(self.serving) else { return };
         let residual = live::residual(model, &experiment);
-        let (count, ends) = (residual.nrows(), samples(END_MARGIN_S));
-        let Some(start) = count.checked_sub(samples(STRETCH_S) + ends) else { return };
-        let rms = live::rms(&residual, start..start + samples(STRETCH_S));
+        let (count, ends) = (residual.nrows(), self.samples(END_MARGIN_S));
+        let Some(start) = count.checked_sub(self.samples(STRETCH_S) + ends) else { return };
+        let rms = live::rms(&residual, start..start + self.samples(STRETCH_S));
         // The preparation removes the same number at both ends.
         let cut = needed.saturating_sub(count) / 2;
-        let begin = self.buffer[first].state.time + (cut + start) as f64 * SAMPLE_PERIOD_S;
+        let begin = self.buffer[first].state.time + (cut + start) as f64 * self.period;
         let end = begin + STRETCH_S;
         let served_rms = self.served(begin, end);
         let model = hex(self.serving);
@@ -298,7 +309,7 @@ impl Live {
         let residual = live::residual(self.model(self.serving)?, &experiment);
         let cut = (self.buffer.len() - first).saturating_sub(residual.nrows()) / 2;
         // The low-pass has transients at both ends.
-        let ends = samples(END_MARGIN_S).min(residual.nrows() / 3);
+        let ends = self.samples(END_MARGIN_S).min(residual.nrows() / 3);
         let inside = residual.rows(ends, residual.nrows() - 2 * ends).into_owned();
         let at = onset(&inside, &self.watch.as_ref()?.floor().usual);
         Some(self.buffer[first + cut + ends + at].state.time)
@@ -312,7 +323,7 @@ impl Live {
         };
         let after = |since: f64| self.buffer.partition_point(|record| record.state.time < since + CHANGE_MARGIN_S);
         let found = self.serving != change.before || self.proposed.is_some_and(|_| self.adopt == Adopt::Ask);
-        if !change.returned && !found && self.buffer.len() - after(change.since) >= samples(RETURN_S) {
+        if !change.returned && !found && self.buffer.len() - after(change.since) >= self.samples(RETURN_S) {
             // There is more to see of the change now than at the alarm.
             change = Change { since: self.onset(change.since).unwrap_or(change.since), returned: true, ..change };
             let first = after(change.since);
@@ -323,7 +334,7 @@ impl Live {
         }
         let after = self.buffer.partition_point(|record| record.state.time < change.since + CHANGE_MARGIN_S);
         let count = self.buffer.len() - after;
-        if count < samples(change.wanted) {
+        if count < self.samples(change.wanted) {
             return Ok(None);
         }
         self.change = (change.wanted < REFINED_S).then_some(Change { wanted: 2.0 * change.wanted, ..change });
@@ -455,6 +466,11 @@ impl Live {
         (2 * resting < experiment.resting().len()).then_some(experiment)
     }
 
+    /// Number of records in a time.
+    fn samples(&self, seconds: f64) -> usize {
+        states(seconds, self.period) as usize
+    }
+
     /// RMS of measured minus served torque between two moments, per joint \[Nm\]; empty where no torque was served along the motion.
     fn served(&self, begin: f64, end: f64) -> Vec<f64> {
         let within = |r: &&Record| {
@@ -467,10 +483,6 @@ impl Live {
         let square = |j: usize| chosen.iter().map(|r| (r.state.tau[j] - r.command.tau_ff.0[j]).powi(2)).sum::<f64>();
         (0..self.joints).map(|j| (square(j) / chosen.len().max(1) as f64).sqrt()).collect()
     }
-}
-
-fn samples(seconds: f64) -> usize {
-    (seconds / SAMPLE_PERIOD_S).round() as usize
 }
 
 fn hex(model: u64) -> String {

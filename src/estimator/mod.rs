@@ -73,7 +73,7 @@ pub fn run(options: Options) -> Result<(), Failure> {
         options.after.as_deref().map_or(Ok(()), |dir| results.go_on_from(dir))?;
         let live = Live::new(&job, &robot, &out);
         service.status("follows the samples");
-        let outcome = match follow(&id, &mut stream, &programme, results, live, &mut service) {
+        let outcome = match follow(&id, &mut stream, &programme, results, live, &mut service, options.once) {
             Err(Failure::Input(bad)) => Outcome::Unusable { why: bad.to_string() },
             outcome => outcome?,
         };
@@ -123,7 +123,7 @@ fn await_next_daemon(stream: &mut SampleStream, service: &mut Service, status: &
     Ok(())
 }
 
-/// Processes the samples of one start of the daemon.
+/// Processes the samples of one start of the daemon. Without `once`, a watched model is watched on after the results were written.
 fn follow(
     id: &RobotId,
     stream: &mut SampleStream,
@@ -131,8 +131,10 @@ fn follow(
     mut results: Results,
     mut live: Option<Live>,
     service: &mut Service,
+    once: bool,
 ) -> Result<Outcome, Failure> {
     let mut collector = Collector::new(programme, results.joints());
+    let mut written = false;
     let mut last_poll = Instant::now();
     loop {
         service.turned();
@@ -160,7 +162,10 @@ fn follow(
                 }
             }
             Delivery::Restarted { .. } if stream.counters().received == 0 => {}
-            Delivery::Restarted { .. } | Delivery::Gone => return Ok(Outcome::DaemonGone),
+            Delivery::Restarted { .. } | Delivery::Gone => {
+                live.iter_mut().try_for_each(|live| live.finish().map(drop))?;
+                return Ok(Outcome::DaemonGone);
+            }
             Delivery::Idle => {}
         }
         if let Some(offer) = live.as_mut().map_or(Ok(None), |live| live.collect(false))? {
@@ -171,12 +176,19 @@ fn follow(
             continue;
         }
         last_poll = Instant::now();
-        let status = status(id)?;
+        let status = match status(id) {
+            // The stream reports the end of the daemon.
+            Err(_) if written => continue,
+            status => status?,
+        };
         // The status of another start, which the stream reports next.
         if status.served.epoch != stream.epoch() {
             continue;
         }
         live.iter_mut().for_each(|live| live.process_status(&status));
+        if written {
+            continue;
+        }
         if let Some(driven) = status.driven
             && stream.position() >= driven
         {
@@ -201,7 +213,11 @@ fn follow(
                 live.finish()?.into_iter().for_each(|note| results.note(note));
             }
             with_progress_log("the diagnosis and the report", || results.finish(&status, driven, &counters))?;
-            return Ok(Outcome::Written);
+            if once || live.is_none() {
+                return Ok(Outcome::Written);
+            }
+            service.status("the results are written; the model is watched");
+            written = true;
         }
         if status.progress == Progress::Stopped {
             return Ok(Outcome::Stopped { why: status.stopped.unwrap_or_default() });

@@ -5,7 +5,7 @@ use crate::failure::Failure;
 use crate::process::progress;
 use crate::setup::planner::Planner;
 use crate::store::{load_plan, save_plan};
-use plumbline_core::{ArmLimits, BadInput, JointVec, Limits, Setpoint, from_toml};
+use plumbline_core::{ArmLimits, BadInput, JointVec, Limits, PERIOD_S, Setpoint, from_toml};
 use plumbline_excite::{Bounds, Fourier, Peak, Plan, Quantity, check_points_with_guard, check_pose};
 use plumbline_model::{Mounting, Robot, VERTICAL_TOLERANCE};
 use plumbline_rt::MoveFactors;
@@ -39,8 +39,10 @@ pub enum Course {
     Planned(Box<Planned>),
     /// As the program that controls the arm wants; the motion is recorded for this long.
     Unplanned {
-        /// Samples, at 1 kHz.
+        /// Samples.
         ticks: usize,
+        /// Time between two of them \[s\].
+        period: f64,
     },
 }
 
@@ -73,7 +75,15 @@ impl Motion {
     pub fn ticks(&self) -> usize {
         match &self.course {
             Course::Planned(planned) => planned.period_ticks() * (planned.periods + planned.lead_in),
-            Course::Unplanned { ticks } => *ticks,
+            Course::Unplanned { ticks, .. } => *ticks,
+        }
+    }
+
+    /// Time between two samples \[s\].
+    pub fn sample_period(&self) -> f64 {
+        match self.course {
+            Course::Planned(_) => PERIOD_S,
+            Course::Unplanned { period, .. } => period,
         }
     }
 }
@@ -146,7 +156,7 @@ impl Programme {
             let (count, ticks) = guest.runs(seconds);
             for k in 1..=count {
                 let (number, name) = (motions.len() as u32 + 1, format!("{stem}-{place}-{k}"));
-                let course = Course::Unplanned { ticks };
+                let course = Course::Unplanned { ticks, period: guest.period() };
                 motions.push(Motion { number, name, role, mounting: job.mounting, course });
             }
         }

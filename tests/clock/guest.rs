@@ -7,9 +7,10 @@ use plumbline_client::{Expected, Guest, Model};
 use plumbline_core::{Backend, Command as ArmCommand, JointVec, Setpoint, Validity};
 use plumbline_ipc::{GuestMessage, GuestPublisher, GuestStatus, Progress, RobotId};
 use plumbline_rt::os;
-use plumbline_sim::{Exact, Gate, Pace};
+use plumbline_sim::{Exact, Gate, Pace, SimArm};
 use plumbline_testkit::job::*;
-use plumbline_testkit::sim::{READY, arm, sim};
+use plumbline_testkit::sim::{READY, arm, arm_with, sim};
+use serde_json::Value;
 use std::process::{Command, Stdio};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
@@ -121,25 +122,19 @@ fn the_arm_of_another_controller_is_identified_diagnosed_and_served() {
     let expected = Expected { robot: Some("panda".into()), gravity: Some([9.81, 0.0, 0.0]) };
     let mut model = Model::follow(&place.id, expected, TIMEOUT).unwrap();
     wait_for("the model", || model.status().validity == Validity::Valid);
-    let (mut square, mut count) = ([0.0; 7], 0.0);
-    for exact in controller.exact.lock().unwrap().iter() {
-        let mut tau = [0.0; 7];
-        model.torque(&exact.q[..7], &exact.dq[..7], &exact.ddq[..7], None, &mut tau).unwrap();
-        (0..7).for_each(|j| square[j] += (tau[j] - exact.tau[j]).powi(2));
-        count += 1.0;
-    }
+    let states = controller.exact.lock().unwrap().clone();
+    let errors = errors(&mut model, &states);
     let done = run.end().expect_code(0);
     let unsent = controller.stop();
 
     let noise = torque_noise(&arm("sim-panda"));
-    let errors = square.map(|square: f64| (square / count).sqrt());
     let report = place.report();
     let ratios: Vec<f64> = report.validate.iter().map(|run| mean(&run.rms_raw) / mean(&noise)).collect();
     eprintln!("torque of the followed model against the truth [Nm]: {errors:.4?}; noise {noise:.4?}");
     eprintln!("validation: {ratios:.3?} of the noise; {:?}", report.guest);
     eprintln!("{}", done.out);
     assert!(
-        count > 300.0 && errors.iter().zip(&noise).all(|(error, noise)| *error < 0.2 * noise),
+        states.len() > 300 && errors.iter().zip(&noise).all(|(error, noise)| *error < 0.2 * noise),
         "{errors:?} {noise:?}"
     );
     assert!(!ratios.is_empty() && ratios.iter().all(|ratio| (0.9..1.05).contains(ratio)), "{ratios:?}");
@@ -244,6 +239,7 @@ fn a_job_that_would_drive_the_arm_is_refused_by_its_key() {
         ("backend.arm=sim-panda", "backend.arm", "none, for kind"),
         ("backend.guest.identify=2 s", "backend.guest.identify", "5 s to"),
         ("backend.guest.run=2 s", "backend.guest.run", "5 s to"),
+        ("backend.guest.rate=2 kHz", "backend.guest.rate", "100 Hz to 1000 Hz"),
         ("diagnosis.rounds=1", "diagnosis.rounds", "plumbline next"),
         ("live.motion=10 s", "live.motion", "0 s"),
         ("backend.guest.identfy=20 s", "backend.guest.identfy", "identify"),
@@ -253,4 +249,142 @@ fn a_job_that_would_drive_the_arm_is_refused_by_its_key() {
     }
     let sim = Done::of(place.job("run", &["backend.guest.run=20 s"])).expect_code(2);
     assert!(sim.err.contains("backend.guest"), "{}", sim.err);
+}
+
+/// A controller in simulated time: publishes as fast as the daemon receives, with stamps of the arm's own time.
+struct Simulated {
+    arm: SimArm,
+    publisher: GuestPublisher,
+    /// Milliseconds between two states.
+    period: u64,
+    tick: u64,
+    sent: u64,
+}
+
+impl Simulated {
+    /// Moves the arm until `end` \[s\] and publishes its states; exact ones, ten per second.
+    fn until(&mut self, end: f64, place: &Place) -> Vec<Exact> {
+        let mut exact = Vec::new();
+        let mut batch = Vec::new();
+        let last = (1000.0 * end) as u64;
+        while self.tick < last {
+            let state = self.arm.read().unwrap();
+            if self.tick.is_multiple_of(self.period) {
+                let (seq, stamp_ns) = (self.sent, self.tick * 1_000_000);
+                let (q, dq, tau, q_d) = (state.q, state.dq, state.tau, state.q_d);
+                batch.push(GuestMessage { n: 7, seq, stamp_ns, q, dq, tau, q_d, ..GuestMessage::default() });
+                self.sent += 1;
+            }
+            if self.tick.is_multiple_of(100) {
+                exact.push(*self.arm.exact());
+            }
+            self.arm
+                .write(&ArmCommand { seq: state.seq, desired: wanders(self.tick), ..ArmCommand::default() })
+                .unwrap();
+            self.tick += 1;
+            if batch.len() == 2000 || self.tick == last {
+                self.publisher.send(&batch).unwrap();
+                batch.clear();
+                wait_for("the states", || guest(place).filter(|of| of.counts.received == self.sent));
+            }
+        }
+        exact
+    }
+}
+
+/// RMS of the followed model's torque less the true one, per joint \[Nm\].
+fn errors(model: &mut Model, states: &[Exact]) -> [f64; 7] {
+    let mut square = [0.0; 7];
+    for exact in states {
+        let mut tau = [0.0; 7];
+        model.torque(&exact.q[..7], &exact.dq[..7], &exact.ddq[..7], None, &mut tau).unwrap();
+        (0..7).for_each(|j| square[j] += (tau[j] - exact.tau[j]).powi(2));
+    }
+    square.map(|square: f64| (square / states.len() as f64).sqrt())
+}
+
+#[test]
+fn the_payload_of_an_arm_at_500_hz_is_named_and_served_while_plumbline_listens() {
+    const PICKED_UP: f64 = 62.0;
+    let place = Place::new("guest-live");
+    let sets = [
+        "backend.guest.rate=500 Hz",
+        "backend.guest.identify=40 s",
+        "backend.guest.validate=10 s",
+        "backend.guest.run=10 s",
+        "diagnosis.enabled=false",
+        "live.watch=true",
+        "live.adopt=auto",
+    ];
+    let daemon = Running::start(job(&place, "daemon", &sets));
+    wait_for("the daemon", || place.status());
+    let estimator = Running::start(job(&place, "estimator", &sets));
+    wait_for("the estimator", || place.status().filter(|now| !now.served.followers.is_empty()));
+    place.command("start").expect_code(0);
+
+    let payload = format!(
+        "\n[[effect]]\nid = \"payload\"\nmass = 0.73\ncom = [0.0, 0.0, 0.15]\n\
+         inertia = [0.001, 0.0, 0.0, 0.0025, 0.0, 0.0017]\nfrom = {PICKED_UP}\n"
+    );
+    let mut controller = Simulated {
+        arm: sim(&arm_with("sim-panda", &payload), 5, Pace::Fast(Arc::new(Gate::unlimited()))),
+        publisher: GuestPublisher::open(&RobotId::parse("test", "robot", &place.id).unwrap()).unwrap(),
+        period: 2,
+        tick: 0,
+        sent: 0,
+    };
+    let states = controller.until(51.0, &place);
+    let first = wait_for("the model", || place.status().map(|now| now.model).filter(|model| *model != 0));
+    let expected = Expected { robot: Some("panda".into()), gravity: Some([9.81, 0.0, 0.0]) };
+    let mut model = Model::follow(&place.id, expected, TIMEOUT).unwrap();
+    wait_for("the followed model", || model.status().validity == Validity::Valid);
+    let (identified, noise) = (errors(&mut model, &states), torque_noise(&arm("sim-panda")));
+    wait_for("the report", || place.out().join("report.json").is_file());
+
+    controller.until(PICKED_UP, &place);
+    assert_eq!(place.status().unwrap().doubt, None, "before the payload");
+    let states = controller.until(PICKED_UP + 20.0, &place);
+    let without = errors(&mut model, &states);
+    let second = wait_for("another model", || place.status().map(|now| now.model).filter(|model| *model != first));
+    wait_for("the followed one", || model.status().model == second);
+    let with = errors(&mut model, &states);
+    let states = controller.until(PICKED_UP + 30.0, &place);
+    place.quit(daemon);
+    let log = place.out().join("live.json");
+    let log = wait_for("the end of the log", || {
+        let log: Value = serde_json::from_str(&std::fs::read_to_string(&log).ok()?).ok()?;
+        let last = log["stretches"].as_array()?.last()?.get("end")?.as_f64()?;
+        (last > PICKED_UP + 28.0).then_some(log)
+    });
+    signal(estimator.pid(), "TERM");
+
+    let counts = place.report().guest.unwrap();
+    assert_eq!((counts.lost, counts.late, counts.pauses, counts.other_rate), (0, 0, 0, 0), "{counts:?}");
+    let dataset = Dataset::read(&place.out().join("dataset")).unwrap();
+    let run = &dataset.runs[0];
+    assert_eq!((dataset.runs.len(), run.samples(), run.data.t[1]), (5, 5000, 0.002));
+    let ratios: Vec<f64> = place.report().validate.iter().map(|run| mean(&run.rms_raw) / mean(&noise)).collect();
+    let events = |kind: &str| {
+        let all = log["events"].as_array().unwrap().iter();
+        all.filter(|event| event["event"] == kind).cloned().collect::<Vec<Value>>()
+    };
+    eprintln!("followed torque against the truth [Nm]: {identified:.4?}, with the payload {without:.4?} -> {with:.4?}");
+    eprintln!("validation: {ratios:.3?} of the noise; {:?}", events("lost"));
+    assert!(ratios.len() == 1 && (0.9..1.05).contains(&ratios[0]), "{ratios:?}");
+    let good = |errors: &[f64; 7]| errors.iter().zip(&noise).all(|(error, noise)| *error < 0.2 * noise);
+    assert!(good(&identified) && !good(&without), "{identified:.4?} {without:.4?}");
+    let last = errors(&mut model, &states);
+    assert!(good(&last), "{last:.4?}");
+
+    let lost = events("lost");
+    let since = lost[0]["since"].as_f64().unwrap();
+    assert!(lost.len() == 1 && (since - PICKED_UP).abs() < 0.5, "{lost:?}");
+    let proposed = events("proposed");
+    assert!(!proposed.is_empty(), "{log}");
+    for event in &proposed {
+        let effects = event["effects"].as_array().unwrap();
+        assert_eq!(effects.iter().map(|effect| &effect["id"]).collect::<Vec<_>>(), ["payload"]);
+        let mass = effects[0]["parameters"]["mass"].as_f64().unwrap();
+        assert!((mass / 0.73 - 1.0).abs() < 0.01, "{mass} kg");
+    }
 }

@@ -89,7 +89,7 @@ pub struct GuestCounts {
     pub malformed: u64,
     /// Received states with another number of joints than the robot, not used.
     pub other_joints: u64,
-    /// Received states of a publisher whose rate is not 1 kHz, not used.
+    /// Received states of a publisher whose rate is not that of the job, not used.
     pub other_rate: u64,
     /// States published more than half a period after they were due.
     pub late: u64,

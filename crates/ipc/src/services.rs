@@ -28,6 +28,8 @@ const MAX_FOLLOWERS: usize = 4;
 const MAX_WATCHERS: usize = 4;
 const MAX_FEED_FORWARD_CLIENTS: usize = 32;
 const MAX_MODEL_CLIENTS: usize = 16;
+/// Publishers of the latest torque and of the served model: the daemon, and a tunnel to another machine, which publishes on both sides.
+const MAX_LATEST_PUBLISHERS: usize = 2;
 /// Receivers of an arm's states: the daemon, and one whose process was killed.
 const MAX_GUEST_RECEIVERS: usize = 2;
 pub(super) const MAX_COMMAND_CLIENTS: usize = 16;
@@ -244,7 +246,7 @@ pub(super) fn serve_feed_forward(node: &ServiceNode, robot: &RobotId) -> Result<
             .subscriber_max_buffer_size(1)
             .subscriber_max_borrowed_samples(1)
             .history_size(1)
-            .max_publishers(1)
+            .max_publishers(MAX_LATEST_PUBLISHERS)
             .max_subscribers(MAX_FEED_FORWARD_CLIENTS)
             .max_nodes(MAX_FEED_FORWARD_CLIENTS + SPARE_NODES)
             .open_or_create())
@@ -260,7 +262,7 @@ pub(super) fn serve_model(node: &ServiceNode, robot: &RobotId) -> Result<Model, 
             .subscriber_max_buffer_size(1)
             .subscriber_max_borrowed_samples(1)
             .history_size(1)
-            .max_publishers(1)
+            .max_publishers(MAX_LATEST_PUBLISHERS)
             .max_subscribers(MAX_MODEL_CLIENTS)
             .max_nodes(MAX_MODEL_CLIENTS + SPARE_NODES)
             .open_or_create())

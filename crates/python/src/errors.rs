@@ -43,6 +43,7 @@ classes! {
     FixedGravity: "The model has effects that are computed for its own gravity in advance.",
     MountingError: "The model is not valid under this gravity.",
     NoUncertainty: "The model file has no [uncertainty].",
+    SettingError: "A setting of the external torque is out of range.",
     QueueFull: "The queue of samples is full: the sample is lost, and counted.",
 }
 
@@ -98,6 +99,7 @@ pub fn fault(fault: Fault, place: &str) -> PyErr {
         Fault::FixedGravity => FixedGravity::new_err(text),
         Fault::Mounting => MountingError::new_err(text),
         Fault::NoUncertainty => NoUncertainty::new_err(text),
+        Fault::Setting => SettingError::new_err(text),
         Fault::QueueFull => QueueFull::new_err(text),
     }
 }

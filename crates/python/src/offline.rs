@@ -60,7 +60,8 @@ pub fn compare(py: Python<'_>, arguments: Vec<OsString>) -> PyResult<()> {
 #[pyfunction]
 pub fn predict(py: Python<'_>, arguments: Vec<OsString>) -> PyResult<Bound<'_, PyDict>> {
     let options = options(py, arguments)?;
-    let Prediction { run, predicted, warnings, .. } = released(py, || offline::predict::predict(&options))?;
+    let Prediction { run, predicted, external, chain, warnings } =
+        released(py, || offline::predict::predict(&options))?;
     let coverage = predicted.coverage(&run.data.tau);
     let (rows, n) = predicted.torques.shape();
     let matrix = |value: &dyn Fn(usize, usize) -> f64| -> PyResult<Bound<'_, PyArray2<f64>>> {
@@ -80,6 +81,19 @@ pub fn predict(py: Python<'_>, arguments: Vec<OsString>) -> PyResult<Bound<'_, P
     found.set_item("rms_filtered", predicted.rms.as_ref().map(|rms| list(&rms.filtered)))?;
     found.set_item("coverage", coverage.as_ref().map(list))?;
     found.set_item("warnings", warnings)?;
+    let Some(external) = external else { return Ok(found) };
+    let samples: Vec<_> = run.data.t.iter().map(|&t| external.at(t)).collect();
+    found.set_item("tau_ext", matrix(&|k, j| samples[k].tau[j])?)?;
+    found.set_item("tau_ext_low", matrix(&|k, j| samples[k].tau[j] - samples[k].half_width[j])?)?;
+    found.set_item("tau_ext_high", matrix(&|k, j| samples[k].tau[j] + samples[k].half_width[j])?)?;
+    found.set_item("contact", samples.iter().map(|sample| sample.contact).collect::<Vec<_>>().into_pyarray(py))?;
+    let contacts = external.contacts().into_iter();
+    let contacts = contacts.map(|one| (one.span[0], one.span[1], one.torque.into_pyarray(py), one.joints));
+    found.set_item("contacts", contacts.collect::<Vec<_>>())?;
+    found.set_item("thresholds", external.thresholds().into_pyarray(py))?;
+    let wrench = external.wrench_thresholds(|q| chain.jacobian(q));
+    found.set_item("wrench_thresholds", wrench.map(|wrench| wrench.to_vec().into_pyarray(py)))?;
+    found.set_item("delay", external.delay())?;
     Ok(found)
 }
 

@@ -21,8 +21,8 @@ import pylibfranka
 import plumbline
 
 N = 7
-STIFFNESS = np.array([60.0, 60.0, 60.0, 60.0, 20.0, 20.0, 10.0])  # [Nm/rad]
-DAMPING = np.array([8.0, 8.0, 8.0, 8.0, 2.0, 2.0, 1.0])  # [Nms/rad]
+STIFFNESS = np.full(N, 50.0)  # [Nm/rad]
+DAMPING = np.array([8.0, 8.0, 8.0, 8.0, 4.0, 4.0, 4.0])  # [Nms/rad]
 MAX_STEP = 0.8  # largest change of a torque in one cycle [Nm]; the robot's limit is 1
 FADE = 2.0  # time over which motion and torque are faded in and out [s]
 SLOW, QUICK = 1.1 + 0.21 * np.sqrt(np.arange(N)), 2.3 + 0.37 * np.sqrt(1.0 + np.arange(N))  # [rad/s]

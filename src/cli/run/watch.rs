@@ -1,7 +1,8 @@
 //! What `run` shows while it runs: one line per motion, and a bar below.
 
 use crate::process::progress::{self, Bar, Stage, Stages};
-use crate::setup::programme::Programme;
+use crate::setup::programme::{Motion, Programme};
+use plumbline_core::PERIOD_S;
 use plumbline_ipc::{Progress, Status};
 use std::time::Instant;
 
@@ -9,6 +10,8 @@ use std::time::Instant;
 pub struct Watch {
     /// Names and samples of the motions, in their order; numbers begin with 1.
     motions: Vec<(String, u64)>,
+    /// Time between two samples \[s\].
+    period: f64,
     /// Number of the last motion that has begun, and the loop's cycles at that time.
     begun: (usize, u64),
     /// Whether lines of motions are printed.
@@ -22,9 +25,10 @@ pub struct Watch {
 impl Watch {
     pub fn new(programme: &Programme, lines: bool) -> Watch {
         let motions = programme.motions().map(|motion| (motion.name.clone(), motion.ticks() as u64)).collect();
+        let period = programme.motions().next().map_or(PERIOD_S, Motion::sample_period);
         let title = "driving".to_string();
         let bar = progress::bar(&title);
-        Watch { motions, begun: (0, 0), lines, start: Instant::now(), title, bar }
+        Watch { motions, period, begun: (0, 0), lines, start: Instant::now(), title, bar }
     }
 
     /// Shows the daemon's `status`, and what the estimator does once everything is driven.
@@ -84,7 +88,8 @@ impl Watch {
     fn line(&self, number: usize) {
         let (name, ticks) = &self.motions[number - 1];
         if self.lines {
-            let (at, of, seconds) = (self.start.elapsed().as_secs_f64(), self.motions.len(), *ticks as f64 * 1e-3);
+            let (at, of) = (self.start.elapsed().as_secs_f64(), self.motions.len());
+            let seconds = *ticks as f64 * self.period;
             self.bar.log(&format!("{at:6.1} s  motion {number:>2} of {of}: {name}, {seconds:.0} s"));
         }
     }
@@ -106,6 +111,7 @@ mod tests {
         let motions = [("identify", 3000), ("validate-1", 500), ("validate-2", 500)];
         Watch {
             motions: motions.map(|(name, ticks)| (name.to_string(), ticks)).to_vec(),
+            period: PERIOD_S,
             begun: (0, 0),
             lines: false,
             start: Instant::now(),

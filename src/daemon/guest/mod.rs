@@ -4,7 +4,7 @@ mod arrivals;
 
 use super::Daemon;
 use super::gravity::Verdict;
-use crate::analysis::collector::{MAX_GAP, MIN_SAMPLES};
+use crate::analysis::collector::{MAX_GAP_S, MIN_RUN_S, states};
 use crate::failure::Failure;
 use crate::process::service::Progress as ServiceProgress;
 use crate::setup::programme::Programme;
@@ -34,6 +34,8 @@ struct Runs {
     tick: u64,
     /// Sample that its part without a long gap begins with.
     part: u64,
+    /// Time between two states \[s\].
+    period: f64,
 }
 
 /// The place of a state in the programme.
@@ -46,20 +48,20 @@ struct Place {
 }
 
 impl Runs {
-    fn of(programme: &Programme) -> Runs {
+    fn of(programme: &Programme, period: f64) -> Runs {
         let run = |own: &crate::setup::programme::Motion| Run {
             number: own.number,
             name: own.name.clone(),
             ticks: own.ticks() as u64,
         };
-        Runs { left: programme.motions().map(run).collect(), tick: 0, part: 0 }
+        Runs { left: programme.motions().map(run).collect(), tick: 0, part: 0, period }
     }
 
     /// The place of a state `gap` cycles after the one before. A long gap takes none of the run's time, nor does a part that is too short.
     fn place(&mut self, gap: u64) -> Option<Place> {
-        let divided = gap > MAX_GAP;
+        let divided = gap > states(MAX_GAP_S, self.period);
         if divided {
-            let is_kept = self.tick - self.part >= MIN_SAMPLES as u64;
+            let is_kept = self.tick - self.part >= states(MIN_RUN_S, self.period);
             self.tick = if is_kept { self.tick } else { self.part };
             self.part = self.tick;
         }
@@ -98,12 +100,13 @@ impl Daemon {
     pub(super) fn listen(&mut self, id: &RobotId, programme: &Programme) -> Result<(), Failure> {
         let receiver = GuestReceiver::open(id).map_err(Failure::job)?;
         let (mounting, joints) = (self.state.mounting, self.state.setup.robot.chain.len());
+        let period = self.state.setup.job.backend.sample_period();
         self.state.gravity.connect(mounting, None, mounting.gravity(), false);
         self.state.history.guest = Some(GuestStatus::default());
         let mut listening = Listening {
             receiver,
-            arrivals: Arrivals::new(joints),
-            runs: Runs::of(programme),
+            arrivals: Arrivals::new(joints, period),
+            runs: Runs::of(programme, period),
             mounting,
             cycle: 0,
             last: None,
@@ -274,7 +277,7 @@ mod tests {
     #[test]
     fn a_run_ends_with_its_last_sample_and_a_long_gap_takes_none_of_its_time() {
         let run = |number| Run { number, name: String::new(), ticks: 5010 };
-        let mut runs = Runs { left: [run(1), run(2)].into(), tick: 0, part: 0 };
+        let mut runs = Runs { left: [run(1), run(2)].into(), tick: 0, part: 0, period: 1e-3 };
         // A part that is long enough, and one that is not: its time is given back.
         for _ in 0..5000 {
             runs.place(1);

@@ -20,10 +20,12 @@ Every error is an exception of `plumbline.errors`, a subclass of `plumbline.Erro
 from . import errors
 from ._plumbline import FeedForward, Guest, Model, Motion, Status, Torque, __version__, gravity
 from .errors import Error, InputError, JobError
-from .offline import Prediction, Results, compare, diagnose, identify, plan, predict
+from .offline import Contact, External, Prediction, Results, compare, diagnose, identify, plan, predict
 
 __all__ = [
+    "Contact",
     "Error",
+    "External",
     "FeedForward",
     "Guest",
     "InputError",

@@ -19,6 +19,7 @@ from ._plumbline import (
     OtherRobot,
     QueueFull,
     SecondPublisher,
+    SettingError,
     ThreadError,
     TransportError,
 )
@@ -42,6 +43,7 @@ __all__ = [
     "OtherRobot",
     "QueueFull",
     "SecondPublisher",
+    "SettingError",
     "ThreadError",
     "TransportError",
 ]

@@ -172,6 +172,37 @@ def compare(
     return _results(_plumbline.compare, [model, dataset], out, options)
 
 
+class Contact(NamedTuple):
+    """A time in which contact is flagged."""
+
+    #: Begin and end on the clock of the recording [s].
+    begin: float
+    end: float
+    #: Largest external torque in it, per joint [Nm].
+    torque: np.ndarray
+    #: Joints that exceed their thresholds, from 1.
+    joints: list[int]
+
+
+class External(NamedTuple):
+    """External torque along a motion as a controller would have it, one row per sample."""
+
+    #: Measured less modelled torque behind the low-pass [Nm].
+    tau: np.ndarray
+    #: 95 % interval [Nm].
+    low: np.ndarray
+    high: np.ndarray
+    #: Whether a joint exceeds its threshold.
+    contact: np.ndarray
+    contacts: list[Contact]
+    #: Largest threshold along the motion, per joint [Nm].
+    thresholds: np.ndarray
+    #: The same as a wrench at the end effector in the base frame, force [N] and moment [Nm]; None where every pose is nearly singular.
+    wrench_thresholds: Optional[np.ndarray]
+    #: Delay of the low-pass [s].
+    delay: float
+
+
 class Prediction(NamedTuple):
     """Torques of a model along a motion, one row per sample."""
 
@@ -191,6 +222,8 @@ class Prediction(NamedTuple):
     coverage: Optional[np.ndarray]
     #: What is unusual in the recorded motion.
     warnings: list[str]
+    #: External torque; None unless it was asked for.
+    external: Optional[External]
 
 
 def predict(
@@ -201,10 +234,30 @@ def predict(
     force: bool = False,
     consistent: bool = False,
     velocities: Optional[str] = None,
+    external: bool = False,
+    bandwidth: Optional[float] = None,
+    false_alarms: Optional[float] = None,
+    by: Optional[str] = None,
 ) -> Prediction:
-    """Computes the torques of a model file along a recorded motion (CSV), as `plumbline predict`."""
-    options = {"mounting": mounting, "force": force, "consistent": consistent, "velocities": velocities}
-    return Prediction(**_plumbline.predict(_arguments([model, run], options)))
+    """Computes the torques of a model file along a recorded motion (CSV), as `plumbline predict`; with `external`, the external torque, too."""
+    options = {
+        "mounting": mounting,
+        "force": force,
+        "consistent": consistent,
+        "velocities": velocities,
+        "external": external,
+        "bandwidth": bandwidth,
+        "false_alarms": false_alarms,
+        "by": by,
+    }
+    found = _plumbline.predict(_arguments([model, run], options))
+    seen = None
+    if external:
+        tau, low, high = (found.pop(name) for name in ("tau_ext", "tau_ext_low", "tau_ext_high"))
+        contacts = [Contact(*one) for one in found.pop("contacts")]
+        rest = {name: found.pop(name) for name in ("contact", "thresholds", "wrench_thresholds", "delay")}
+        seen = External(tau, low, high, contacts=contacts, **rest)
+    return Prediction(**found, external=seen)
 
 
 def plan(
