@@ -3,6 +3,7 @@
 use super::evidence::{BAND_EDGES_HZ, Evidence};
 use super::fit::{Problem, group};
 use super::library::Candidate;
+use super::moments::Moments;
 use super::outcome;
 use super::state::{State, Tried, mean_square_below};
 use nalgebra::DVector;
@@ -62,21 +63,21 @@ pub fn folds(problem: &Problem, state: &State, tried: &Tried) -> FoldTest {
     if count < 2 {
         return found;
     }
-    let phi = &tried.fit.phi;
+    let (phi, moments) = (&tried.fit.phi, tried.moments(state));
     let alone = alone(problem, tried);
     let within = |(fold, share): (usize, f64)| {
         (INFORMATIVE_RATIOS.0..=INFORMATIVE_RATIOS.1).contains(&share) && !alone.contains(&fold)
     };
-    let informative: Vec<bool> = shares(problem, state, tried).into_iter().enumerate().map(within).collect();
+    let informative: Vec<bool> = shares(problem, state, tried, &moments).into_iter().enumerate().map(within).collect();
     found.informative = informative.iter().filter(|informative| **informative).count();
     let known = problem.evidence.repeats();
     if known && !tried.held {
         let surprises = |moments| problem.surprise(moments, phi).into_iter();
-        let falls = surprises(&tried.moments).zip(surprises(&state.moments)).map(|(with, without)| with < without);
+        let falls = surprises(&moments).zip(surprises(&state.moments)).map(|(with, without)| with < without);
         found.positive = falls.zip(informative).filter(|(falls, informative)| *falls && *informative).count();
         return found;
     }
-    let with = problem.left_out(&tried.moments, phi);
+    let with = problem.left_out(&moments, phi);
     let without = if tried.held { Vec::new() } else { problem.left_out(&state.moments, phi) };
     // Per joint: weighted and plain error, each without and with the candidate.
     let mut errors = vec![[[0.0; 2]; 2]; problem.evidence.joints()];
@@ -85,7 +86,7 @@ pub fn folds(problem: &Problem, state: &State, tried: &Tried) -> FoldTest {
         if known && !informative {
             continue;
         }
-        let error_with = problem.of_fold(&tried.moments, &with[fold], fold, phi);
+        let error_with = problem.of_fold(&moments, &with[fold], fold, phi);
         // With a prior, the other parameters are those of the fit with the candidate.
         let held = || with[fold].rows(0, state.fit.theta.len()).into_owned();
         let theta = without.get(fold).cloned().unwrap_or_else(held);
@@ -145,10 +146,10 @@ fn alone(problem: &Problem, tried: &Tried) -> Vec<usize> {
 }
 
 /// Share of each fold in the energy of the torque that the candidate changes.
-fn shares(problem: &Problem, state: &State, tried: &Tried) -> Vec<f64> {
+fn shares(problem: &Problem, state: &State, tried: &Tried, moments: &Moments) -> Vec<f64> {
     let change = change(state, tried);
     let mut energy = vec![0.0; problem.evidence.folds().len()];
-    for (cell, own) in problem.evidence.cells().iter().zip(&tried.moments.cells) {
+    for (cell, own) in problem.evidence.cells().iter().zip(&moments.cells) {
         let weight = 1.0 / tried.fit.phi[group(cell.joint, cell.band)];
         energy[cell.fold] += weight * (&own.g * &change).dot(&change);
     }

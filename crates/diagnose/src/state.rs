@@ -71,7 +71,7 @@ impl State {
         let fit = problem.fit(&moments, &every, Some(&self.fit.phi));
         let evidence = 2.0 * (fit.likelihood - self.fit.likelihood);
         let held = problem.prior.is_some();
-        Some(Tried { cross, moments, fit, evidence, independence: gain.independence, held })
+        Some(Tried { cross, fit, evidence, independence: gain.independence, held })
     }
 
     /// Residual torque of a joint, divided by its noise.
@@ -103,13 +103,11 @@ pub fn mean_square_below(evidence: &Evidence, joint: usize, rows: &DVector<f64>,
     evidence.rows_below(joint, bands).map(square).sum::<f64>() / evidence.samples()
 }
 
-/// A candidate tried in a state.
+/// A candidate tried in a state. The sums of both, tens of megabytes where a motion has many folds, are [`Tried::moments`].
 #[derive(Clone, Debug)]
 pub struct Tried {
     /// Its sums with the state's columns.
     pub cross: Cross,
-    /// Sums of both.
-    pub moments: Moments,
     /// Fit of both.
     pub fit: Fit,
     /// Twice the gain in log likelihood.
@@ -118,4 +116,11 @@ pub struct Tried {
     pub independence: f64,
     /// Whether the other parameters have a prior. Then torque that they represent at the prior's cost still counts for the candidate.
     pub held: bool,
+}
+
+impl Tried {
+    /// Sums of the state that it was tried in and of the candidate.
+    pub fn moments(&self, state: &State) -> Moments {
+        state.moments.with(&self.cross)
+    }
 }

@@ -197,7 +197,7 @@ fn with_a_prior_only_the_torque_of_the_candidate_itself_counts() {
         // Folds that are left out are predicted with the same parameters, with the candidate and without it.
         let tested = folds(&problem, base, &tried);
         let (mut sums, mut weighted) = ([[0.0; 2]; 2], [[0.0; 2]; 2]);
-        for (fold, theta) in problem.left_out(&tried.moments, &tried.fit.phi).iter().enumerate() {
+        for (fold, theta) in problem.left_out(&tried.moments(base), &tried.fit.phi).iter().enumerate() {
             for cell in evidence.cells().iter().filter(|cell| cell.fold == fold) {
                 let rows = |with: bool| {
                     let mut theta = theta.clone();
