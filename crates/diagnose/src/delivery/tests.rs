@@ -436,6 +436,12 @@ fn a_parameter_below_zero_is_seen_where_physics_forbids_it() {
     let (name, value) = negative(&fitted(&scene, &rotor, -0.2), &rotor).unwrap();
     assert!(name.ends_with('5') && (value + 0.2).abs() < 0.05, "{name} {value}");
     assert_eq!(negative(&fitted(&scene, &rotor, 0.2), &rotor), None);
+    // A compliance is searched for as a setting, and fitted as a parameter once more.
+    let elastic = Spec { form: "swinging", settings: vec![1e-4, 5.0], ..of("joint-elasticity") };
+    let mut soft = fitted(&scene, &elastic, 0.0);
+    let at = soft.structure.columns().iter().position(|column| column.name == "compliance5").unwrap();
+    soft.identification.beta[at] = -1e-4;
+    assert_eq!(negative(&soft, &elastic), Some(("compliance5".into(), -1e-4)));
     // An offset may have any sign.
     let offset = of("torque-offset");
     let mut below = fitted(&scene, &offset, 0.0);

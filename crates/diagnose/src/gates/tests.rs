@@ -63,7 +63,7 @@ fn the_share_of_a_fold_is_that_of_its_weighted_torque() {
             energy[cell.fold] += square / phi[group(cell.joint, cell.band)];
         }
         let total: f64 = energy.iter().sum();
-        for (share, energy) in shares(&search.problem, base, &tried).iter().zip(energy) {
+        for (share, energy) in shares(&search.problem, base, &tried, &tried.moments(base)).iter().zip(energy) {
             assert!((share - energy / total).abs() < 1e-9, "{share} {}", energy / total);
         }
     });
@@ -80,7 +80,7 @@ fn a_fold_is_asked_from_three_to_eighty_per_cent_of_the_energy() {
     for recorded in repeated.iter().chain([&once(20.0, 82, spring_2)]) {
         of_joint_2(recorded, &spring::FAMILY, |search, base, item| {
             let tried = base.try_in(&search.problem, item).unwrap();
-            let shares = shares(&search.problem, base, &tried);
+            let shares = shares(&search.problem, base, &tried, &tried.moments(base));
             let asked = shares.iter().filter(|share| (0.03..=0.8).contains(*share)).count();
             assert_eq!(folds(&search.problem, base, &tried).informative, asked, "{shares:?}");
             seen.extend(shares);
@@ -100,7 +100,7 @@ fn the_only_run_with_an_effect_and_the_only_one_without_it_are_not_asked() {
         of_joint_2(&recorded, family("friction-change").unwrap(), |search, base, item| {
             let item = item.in_folds(search.problem.evidence, Span::since(since)).unwrap();
             let tried = base.try_in(&search.problem, &item).unwrap();
-            let shares = shares(&search.problem, base, &tried);
+            let shares = shares(&search.problem, base, &tried, &tried.moments(base));
             assert!(shares.iter().all(|share| (0.03..=0.8).contains(share)), "{shares:?}");
             assert_eq!(alone(&search.problem, &tried), alone_folds);
             assert_eq!(folds(&search.problem, base, &tried).informative, asked);
