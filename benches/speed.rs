@@ -52,8 +52,10 @@ fn samples(rng: &mut ChaCha8Rng, count: usize) -> Vec<Sample> {
 fn peers() -> BTreeMap<String, Vec<(String, f64)>> {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
     let mut found: BTreeMap<String, Vec<(String, f64)>> = BTreeMap::new();
-    let made =
-        Command::new(root.join("hil/peers/venv.sh")).args(["casadi", "pin==3.*", "cmeel-eigen", "mujoco"]).output();
+    // An environment of its own: its Pinocchio is another one than the tests'.
+    let made = Command::new(root.join("hil/peers/venv.sh"))
+        .args(["--in", "bench", "casadi", "pin==3.*", "cmeel-eigen", "mujoco"])
+        .output();
     let python = match made {
         Ok(made) if made.status.success() => String::from_utf8_lossy(&made.stdout).trim().to_string(),
         Ok(made) => {

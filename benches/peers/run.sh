@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Builds and times the peers of benches/speed.rs: run.sh PYTHON DIRECTORY
 #
-# PYTHON is the interpreter of the peers' environment (hil/peers/venv.sh casadi 'pin==3.*' cmeel-eigen mujoco). Prints one line per
+# PYTHON is the interpreter of the peers' environment (hil/peers/venv.sh --in bench, with what benches/speed.rs asks for). Prints one line per
 # figure: what, peer, nanoseconds. A peer that can't be built or run says SKIPPED and why on standard error.
 set -uo pipefail
 python=$1
