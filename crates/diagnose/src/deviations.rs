@@ -8,9 +8,10 @@
 //! is their covariance (Gauss and Newton). A linear parameter's deviation with the settings held is too small: friction and the displacement over
 //! which it builds up share an error.
 
-use super::evidence::{Evidence, Rows};
+use super::evidence::Evidence;
 use super::fit::inverse;
 use super::library::Candidate;
+use super::rows::Rows;
 use super::select::{Search, inside};
 use super::state::State;
 use nalgebra::{DMatrix, DVector};

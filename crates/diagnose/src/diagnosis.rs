@@ -12,6 +12,7 @@ use super::evidence::{Evidence, Trial};
 use super::fallback::{self, Residual};
 use super::figures::Curves;
 use super::fit::{MIN_INDEPENDENCE_RATIO, Problem};
+use super::found::{Step, Watch, steps};
 use super::gates;
 use super::input::{Input, RULES, Settings};
 use super::library::{Candidate, library, repeatable};
@@ -22,7 +23,7 @@ use super::outcome::{
 };
 use super::parts::{self, Named};
 use super::reference;
-use super::select::{MAX_LISTED_SCORES, Scored, Search, Selected, Step, Watch, steps};
+use super::select::{MAX_LISTED_SCORES, Scored, Search, Selected};
 use super::span::Span;
 use super::state::State;
 use super::unseen::{Known, THRESHOLD_FLOOR_RATIO, Unseen, columns_of};

@@ -7,16 +7,15 @@
 //! noise, which repetitions tell; without them by 1 Nm, and the scale of each band is estimated with the model.
 
 use super::fold::{BLOCK_LIMITS_S, Fold, Thinned, Thinning, folds_of};
+use super::rows::Rows;
 use super::span::Span;
-use nalgebra::{DMatrix, DMatrixView, DVector};
+use nalgebra::{DMatrix, DVector};
 use plumbline_identify::{Experiment, NoisePower, Scatter, Timeline};
 use plumbline_model::term::effect::OperatingPoint;
 use plumbline_model::term::{Motion, Term};
 use plumbline_model::{Chain, Structure};
-use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::ops::Range;
-use std::sync::Arc;
 
 /// Upper edges of the bands that have a scale of their own \[Hz\].
 pub const BAND_EDGES_HZ: [f64; 7] = [0.55, 1.05, 2.0, 4.0, 8.0, 16.0, f64::INFINITY];
@@ -34,73 +33,6 @@ pub struct Cell {
     pub band: usize,
     /// Its rows among those of the joint.
     pub rows: Range<usize>,
-}
-
-/// Coefficients of columns; joints that are not listed have none.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Rows {
-    /// Number of columns.
-    pub width: usize,
-    /// Joint, from 0, and its coefficients, divided by their noise. Shared by the same columns in many parts of the recording.
-    parts: Vec<(usize, Arc<DMatrix<f64>>)>,
-    /// The rows outside which they count as zero; `None` where all count.
-    within: Option<Arc<[Range<usize>]>>,
-}
-
-impl Rows {
-    /// Of joints with coefficients, divided by their noise.
-    pub fn new(width: usize, parts: Vec<(usize, DMatrix<f64>)>) -> Rows {
-        let shared = |(joint, part)| (joint, Arc::new(part));
-        Rows { width, parts: parts.into_iter().map(shared).collect(), within: None }
-    }
-
-    /// Without the folds that begin outside a part of the recording.
-    pub fn in_folds(&self, evidence: &Evidence, span: Span) -> Rows {
-        let begun =
-            evidence.folds.iter().zip(evidence.begins()).filter(|(_, begin)| (span.from..span.to).contains(begin));
-        let within: Arc<[Range<usize>]> = begun.map(|(fold, _)| fold.rows.clone()).collect();
-        let acts = |(_, part): &&(usize, Arc<DMatrix<f64>>)| {
-            let mut inside = within.iter().map(|rows| part.rows(rows.start, rows.len()));
-            inside.any(|rows| rows.iter().any(|value| *value != 0.0))
-        };
-        let parts = self.parts.iter().filter(acts).cloned().collect();
-        Rows { width: self.width, parts, within: Some(within) }
-    }
-
-    /// Joints that have some, from 0.
-    pub fn joints(&self) -> impl Iterator<Item = usize> + '_ {
-        self.parts.iter().map(|(joint, _)| *joint)
-    }
-
-    /// Whether no joint has any.
-    pub fn is_empty(&self) -> bool {
-        self.parts.is_empty()
-    }
-
-    /// Those of a joint.
-    pub fn of(&self, joint: usize) -> Option<Cow<'_, DMatrix<f64>>> {
-        let (_, part) = self.parts.iter().find(|(own, _)| *own == joint)?;
-        let Some(within) = &self.within else { return Some(Cow::Borrowed(part)) };
-        let mut inside = DMatrix::zeros(part.nrows(), part.ncols());
-        for rows in within.iter() {
-            inside.rows_mut(rows.start, rows.len()).copy_from(&part.rows(rows.start, rows.len()));
-        }
-        Some(Cow::Owned(inside))
-    }
-
-    /// Those of a cell, where they are not zero.
-    pub fn in_cell(&self, cell: &Cell) -> Option<DMatrixView<'_, f64>> {
-        let (_, part) = self.parts.iter().find(|(own, _)| *own == cell.joint)?;
-        let counts =
-            self.within.as_ref().is_none_or(|within| within.iter().any(|rows| rows.contains(&cell.rows.start)));
-        let rows = counts.then(|| part.rows(cell.rows.start, cell.rows.len()))?;
-        rows.iter().any(|value| *value != 0.0).then_some(rows)
-    }
-
-    /// Whether every coefficient is a number.
-    pub fn is_finite(&self) -> bool {
-        self.parts.iter().all(|(_, part)| part.iter().all(|value| value.is_finite()))
-    }
 }
 
 /// The maps from samples to coefficients for a set of experiments.

@@ -1,6 +1,7 @@
 //! The candidates: every family at every site, in every form, at every start value of its settings.
 
-use super::evidence::{Evidence, Rows};
+use super::evidence::Evidence;
+use super::rows::Rows;
 use super::span::Span;
 use plumbline_core::parallel;
 use plumbline_model::term::effect::{FAMILIES, Family, Form, OperatingPoint, Site, Spec, Stratum};

@@ -3,7 +3,8 @@
 //! With `M` the columns of a model, `C` those of a candidate and `r` the torques, in one cell, these are `M'M`, `M'r`, `r'r` and `M'C`,
 //! `C'C`, `C'r`. Weighing a band anew or leaving a trajectory out is another sum of the same small matrices.
 
-use super::evidence::{Evidence, Rows};
+use super::evidence::Evidence;
+use super::rows::Rows;
 use nalgebra::{DMatrix, DVector};
 use plumbline_core::transposed_product;
 

@@ -14,12 +14,13 @@
 //! `1/2 ln det J`, D-optimality.
 
 use super::deviations::slopes;
-use super::evidence::{BAND_EDGES_HZ, Evidence, Rows, Trial};
+use super::evidence::{BAND_EDGES_HZ, Evidence, Trial};
 use super::fit::{Problem, group, inverse};
 use super::input::Settings;
 use super::library::Candidate;
 use super::moments::Columns;
 use super::outcome::{self, OpenKind, Verdict};
+use super::rows::Rows;
 use super::select::{MAX_RIVAL_SCORE_GAP, Search, Selected};
 use super::unseen::columns_of;
 use nalgebra::{DMatrix, DVector};

@@ -17,10 +17,11 @@ pub use outcome::Comparison;
 
 use super::evidence::{Evidence, Trial};
 use super::fit::{Prior, Problem, inverse};
+use super::found::{Found, Step, Watch};
 use super::input::Settings;
 use super::library::{self, Candidate};
 use super::moments::Columns;
-use super::select::{Found, Scored, Search, Selected, Step, Watch};
+use super::select::{Scored, Search, Selected};
 use super::span::Span;
 use super::state::{State, every, mean_square};
 use nalgebra::{DMatrix, DVector};

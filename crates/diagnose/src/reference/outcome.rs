@@ -2,11 +2,12 @@
 
 use super::{Change, Changes};
 use crate::errors::{Band, Compared};
+use crate::found::steps;
 use crate::outcome::{
     self, BeforeAfter, Confirmation, Diagnosis, Effect, JointFacts, MinimumDetectable, Parameters, Quantity, Score,
     Stratum, Unexplained, Verdict,
 };
-use crate::select::{MAX_LISTED_SCORES, steps};
+use crate::select::MAX_LISTED_SCORES;
 use plumbline_model::{Mounting, TorqueModel};
 
 /// A joint whose residual power is more than this many times its noise lacks something.
