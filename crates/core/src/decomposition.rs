@@ -33,12 +33,15 @@ pub fn singular_values(m: DMatrix<f64>) -> Option<DVector<f64>> {
     Some(bounded(m, false)?.singular_values)
 }
 
-/// `A'B`, multiplied in blocks. nalgebra's `tr_mul` takes a dot product for each entry.
+/// nalgebra multiplies by blocks only where each dimension exceeds this.
+const LARGEST_UNBLOCKED_DIMENSION: usize = 5;
+
+/// `A'B`: in blocks, or for a few columns by dot products (`tr_mul`), which need no transposed copy.
 pub fn transposed_product(
     a: &Matrix<f64, Dyn, Dyn, impl Storage<f64, Dyn, Dyn>>,
     b: &Matrix<f64, Dyn, Dyn, impl Storage<f64, Dyn, Dyn>>,
 ) -> DMatrix<f64> {
-    a.transpose() * b
+    if a.ncols().min(b.ncols()) <= LARGEST_UNBLOCKED_DIMENSION { a.tr_mul(b) } else { a.transpose() * b }
 }
 
 fn bounded(m: DMatrix<f64>, vectors: bool) -> Option<SVD<f64, Dyn, Dyn>> {
