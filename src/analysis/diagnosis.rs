@@ -1,7 +1,6 @@
 //! A diagnosis from recorded runs: shared by `diagnose` and the estimator.
 
 use crate::analysis::pipeline::{self, Identified};
-use crate::analysis::split;
 use crate::dataset::Run;
 use crate::failure::Failure;
 use crate::process::progress::{self, Bar};
@@ -9,7 +8,7 @@ use plumbline_diagnose::changing::{Changing, changing, cleaned, until_the_end};
 use plumbline_diagnose::errors::Of;
 use plumbline_diagnose::figures::Curves;
 use plumbline_diagnose::outcome::Changes;
-use plumbline_diagnose::reference::{self, Stored};
+use plumbline_diagnose::reference;
 use plumbline_diagnose::{Diagnosis, Effect, Input, OpenQuestions, Progress, Trial, Verdict, diagnose};
 use plumbline_identify::solve::{self, ols, stack::Stack};
 use plumbline_identify::{Experiment, Settings};
@@ -67,7 +66,7 @@ pub fn run(question: &Question) -> Result<Diagnosed, Failure> {
     block.band = question.of.band(question.settings.torque_cutoff);
     block.notes.extend(notes);
     variation.add_to(&mut block, question.diagnosis.least_floor, question.diagnosis.threshold);
-    question.name_disagreements(&after.model, &mut block)?;
+    question.name_disagreements(&after.model, &identify, &unseen, &mut block);
     Ok(Diagnosed { after, block, figures: outcome.curves, open: outcome.open })
 }
 
@@ -90,41 +89,39 @@ pub fn search_on(bar: &Bar) -> impl Fn(Progress) + Sync + '_ {
 }
 
 impl Question<'_> {
-    /// Searches each run that differs from the identified ones for what changed in it, as against a stored model.
-    fn name_disagreements(&self, model: &TorqueModel, block: &mut Diagnosis) -> Result<(), Failure> {
-        let mut all_explained = true;
-        for run in self.unseen {
+    /// Searches each run that differs from the identified ones for what changed in it, as against a stored model. Only what explains the difference is
+    /// named, and nothing where the model lacks something in its own runs: changes would be named for that.
+    fn name_disagreements(&self, model: &TorqueModel, identified: &[Trial], unseen: &[Trial], block: &mut Diagnosis) {
+        if !block.unexplained.is_empty() {
+            return;
+        }
+        let mut explained = 0;
+        for (run, trial) in self.unseen.iter().zip(unseen) {
             let name = &run.data.name;
             let Some(disagreement) = block.disagreements.iter().find(|one| one.run == *name) else { continue };
             if model.valid_in(&run.data.mounting).is_err() {
-                all_explained = false;
                 continue;
             }
-            let (find, judge) = split::find_and_judge(&[run], &mut Vec::new());
-            let prepare = |runs: &[Run]| pipeline::experiments(&runs.iter().collect::<Vec<_>>(), self.settings);
-            let (find, judge) = (prepare(&find)?, prepare(&judge)?);
-            let trials = Trial::in_turn(&find);
-            let changes = reference::changes(model, &trials, self.diagnosis, &|_| {});
-            let judge: Vec<(&Experiment, u32)> = judge.iter().map(|experiment| (experiment, 1)).collect();
-            let held = Stored { model, changes: &changes.effects }.held(&judge).map_err(Failure::job)?;
-            let effect = |&k: &usize| {
-                let effect = changes.effects[k].effect(model, Some(&run.data.mounting), false);
+            let changes = reference::in_unseen(model, identified, std::slice::from_ref(trial), self.diagnosis);
+            let left_over = changes.after.get(disagreement.joint - 1);
+            if changes.effects.is_empty() || !left_over.is_some_and(|rms| disagreement.is_explained_at(*rms)) {
+                continue;
+            }
+            explained += 1;
+            let effect = |change: &reference::Change| {
+                let effect = change.effect(model, Some(&run.data.mounting), false);
                 Effect { label: format!("{} in {name}", effect.place()), ..effect }
             };
-            let effects: Vec<Effect> = held.iter().map(effect).collect();
-            let left_over = changes.after.get(disagreement.joint - 1);
-            all_explained &= !effects.is_empty() && left_over.is_some_and(|rms| disagreement.is_explained_at(*rms));
+            let effects: Vec<Effect> = changes.effects.iter().map(effect).collect();
             let (since, session) = ("the runs identified from".into(), name.clone());
             block.changes.push(Changes { since, session, effects: effects.clone(), ..Changes::default() });
-            if block.verdict == Verdict::Unexplained && block.unexplained.is_empty() && !effects.is_empty() {
-                block.verdict = Verdict::Partly;
-            }
             block.effects.extend(effects);
         }
-        if !block.disagreements.is_empty() && block.unexplained.is_empty() && all_explained {
+        if explained == block.disagreements.len() && explained > 0 {
             block.verdict = Verdict::Diagnosed;
+        } else if explained > 0 && block.verdict == Verdict::Unexplained {
+            block.verdict = Verdict::Partly;
         }
-        Ok(())
     }
 }
 

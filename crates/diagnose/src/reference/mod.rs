@@ -129,8 +129,25 @@ pub fn among(
     settings: &Settings,
     progress: &Watch,
 ) -> Changes {
+    let evidence = Evidence::of(reference.structure().chain(), trials, settings.band);
+    searched(reference, &evidence, trials, families, settings, progress)
+}
+
+/// [`changes`] in unseen runs; the noise is that of the runs that `reference` was `identified` from.
+pub fn in_unseen(reference: &TorqueModel, identified: &[Trial], unseen: &[Trial], settings: &Settings) -> Changes {
+    let evidence = Evidence::with_noise_of(reference.structure().chain(), unseen, identified, settings.band);
+    searched(reference, &evidence, unseen, &families(), settings, &|_| {})
+}
+
+fn searched(
+    reference: &TorqueModel,
+    evidence: &Evidence,
+    trials: &[Trial],
+    families: &[&'static Family],
+    settings: &Settings,
+    progress: &Watch,
+) -> Changes {
     let structure = reference.structure();
-    let evidence = Evidence::of(structure.chain(), trials, settings.band);
     if evidence.folds().is_empty() {
         return Changes::default();
     }
@@ -139,20 +156,20 @@ pub fn among(
     let m = evidence.regressor(structure, trials);
     let r = evidence.torques(trials).into_iter().zip(&m).map(|(tau, m)| tau - m * &stored).collect();
     let prior = prior(reference.parameters());
-    let problem = Problem { evidence: &evidence, prior: Some(&prior) };
+    let problem = Problem { evidence, prior: Some(&prior) };
     let base = State::base(&problem, Columns { m, r });
-    let before = left_over(&evidence, &base, &DVector::zeros(beta.len()));
+    let before = left_over(evidence, &base, &DVector::zeros(beta.len()));
     let operating_point = evidence.operating_point(structure, &beta);
-    let mut library = library::library(&evidence, &operating_point, families, Span::ALL, settings.threads);
-    library.extend(since_sessions(&evidence, &operating_point, families, settings.threads));
+    let mut library = library::library(evidence, &operating_point, families, Span::ALL, settings.threads);
+    library.extend(since_sessions(evidence, &operating_point, families, settings.threads));
     let search = Search { problem, operating_point: &operating_point, library: &library, settings };
-    let (least, lacking) = (least(&search, &base), lack(&evidence, &base));
+    let (least, lacking) = (least(&search, &base), lack(evidence, &base));
     let selected = search.select(base, &[], progress);
-    let doubt = doubt(&evidence, &selected.state, reference.parameters());
+    let doubt = doubt(evidence, &selected.state, reference.parameters());
     // The stored parameters stay what they are.
     let mut theta = selected.state.fit.theta.clone();
     theta.rows_mut(0, beta.len()).fill(0.0);
-    let after = left_over(&evidence, &selected.state, &theta);
+    let after = left_over(evidence, &selected.state, &theta);
     Changes { least, ..report(&search, selected, [before, after], lacking, doubt) }
 }
 

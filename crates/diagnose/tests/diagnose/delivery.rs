@@ -2,9 +2,11 @@
 
 use nalgebra::{DMatrix, DVector};
 use plumbline_diagnose::errors::Of;
+use plumbline_diagnose::reference::in_unseen;
 use plumbline_diagnose::{Input, Outcome, Settings, Trial, Verdict, diagnose};
 use plumbline_identify::solve::Options;
 use plumbline_identify::{Experiment, Run};
+use plumbline_model::TorqueModel;
 use plumbline_model::term::Motion;
 use plumbline_model::term::effect::{OperatingPoint, Site, Spec};
 use plumbline_testkit::scene::Scene;
@@ -93,6 +95,29 @@ fn a_run_that_differs_from_the_identified_ones_is_never_nothing_significant() {
     let [one] = &diagnosis.disagreements[..] else { panic!("{:?}", diagnosis.disagreements) };
     assert!(one.run == "run 2" && one.joint == 5 && (one.rms - 0.5).abs() < 0.05 && one.ratio() > 2.0, "{one:?}");
     assert!(diagnosis.notes.iter().any(|note| note.contains("run 2 differs")), "{:?}", diagnosis.notes);
+}
+
+#[test]
+fn what_changed_in_an_unseen_run_of_two_periods_is_named() {
+    let scene = Scene::panda_on_the_wall();
+    let Outcome { after, .. } = diagnosed(&scene, 2, |_, _| {});
+    let model = TorqueModel::new("", after.structure, Vec::new(), &after.identification.values()).unwrap();
+    let prepare = |periods: usize, seed: u64, offset: f64| {
+        let mut run = scene.record(periods, seed);
+        run.tau.column_mut(4).add_scalar_mut(offset);
+        Experiment::prepare(&run, &plumbline_identify::Settings::default()).unwrap()
+    };
+    let identified = [prepare(4, 31, 0.0), prepare(4, 32, 0.0)];
+    let found = |offset: f64| {
+        let unseen = [prepare(2, 40, offset)];
+        in_unseen(&model, &Trial::in_turn(&identified), &Trial::in_turn(&unseen), &Settings::default())
+    };
+    assert!(found(0.0).effects.is_empty());
+    let changes = found(0.1);
+    let [change] = &changes.effects[..] else { panic!("{:?}", changes.effects) };
+    assert_eq!(change.spec.to_string(), "torque-offset in joint 5");
+    let offset = &change.parameters[0];
+    assert!((offset.value - 0.1).abs() < 3.0 * offset.std.unwrap() && offset.std.unwrap() < 0.02, "{offset:?}");
 }
 
 #[test]
