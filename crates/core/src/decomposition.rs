@@ -63,7 +63,13 @@ mod tests {
         assert!((found.recompose().unwrap() - &m).amax() < 1e-12);
         assert_eq!(singular_values(m.clone()).unwrap().len(), 5);
         let gram = transposed_product(&m, &m);
-        assert!((&gram - m.tr_mul(&m)).amax() < 1e-12);
+        assert!((&gram - m.transpose() * &m).amax() < 1e-12);
+        // As many columns as are multiplied in blocks.
+        let wide = DMatrix::from_fn(9, LARGEST_UNBLOCKED_DIMENSION + 2, |i, k| ((5 * i + 2 * k) as f64).cos());
+        for other in [&wide, &m] {
+            assert!((transposed_product(&wide, other) - wide.tr_mul(other)).amax() < 1e-12);
+            assert!((transposed_product(other, &wide) - other.transpose() * &wide).amax() < 1e-12);
+        }
         let eigen = symmetric_eigen(gram.clone()).unwrap();
         assert!((eigen.recompose() - gram).amax() < 1e-12);
         assert_eq!(singular_values(DMatrix::zeros(4, 3)).unwrap(), DVector::zeros(3));

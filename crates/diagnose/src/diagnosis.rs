@@ -12,7 +12,7 @@ use super::evidence::{Evidence, Trial};
 use super::fallback::{self, Residual};
 use super::figures::Curves;
 use super::fit::{MIN_INDEPENDENCE_RATIO, Problem};
-use super::found::{Step, Watch, steps};
+use super::found::{Watch, steps};
 use super::gates;
 use super::input::{Input, RULES, Settings};
 use super::library::{Candidate, library, repeatable};
@@ -26,7 +26,8 @@ use super::reference;
 use super::select::{MAX_LISTED_SCORES, Scored, Search, Selected};
 use super::span::Span;
 use super::state::State;
-use super::unseen::{Known, THRESHOLD_FLOOR_RATIO, Unseen, columns_of};
+use super::unseen::{THRESHOLD_FLOOR_RATIO, Unseen, columns_of};
+use super::veto::{end_where_refuted, vetoed};
 use plumbline_identify::solve::identify_with;
 use plumbline_identify::{EstimateError, Experiment};
 use plumbline_model::term::effect;
@@ -102,10 +103,7 @@ pub fn diagnose(input: &Input, settings: &Settings, progress: &Watch) -> Result<
     let selected = vetoed(&search, selected, input, &unseen);
     let (lacks, adequacy) = {
         let model = Unseen::of(&unseen, structure, input.deciding(), &selected.state, operating_point);
-        let updated = |state: &State| {
-            let information = search.problem.information(&state.moments, &state.fit.phi);
-            model.update(Known { theta: &state.fit.theta, information: &information, phi: &state.fit.phi }).0
-        };
+        let updated = |state: &State| model.update_of(&search.problem, state, &state.fit.phi).0;
         let lacks = model.lacks(&updated(&base));
         let adequacy = model.explained(&lacks, &updated(&selected.state));
         (lacks, adequacy)
@@ -310,60 +308,6 @@ fn confirmation(evidence: &Evidence) -> Confirmation {
         (true, 1) => Confirmation::OneTrajectory,
         (true, trajectories) => Confirmation::Full { trajectories },
         (false, _) => Confirmation::NoRepeats,
-    }
-}
-
-/// Removes every effect without which unseen runs are expected no less. Where they are the only unseen ones the delivery withholds it instead, and
-/// the reason is said.
-fn vetoed(search: &Search, mut selected: Selected, input: &Input, evidence: &Evidence) -> Selected {
-    if input.veto.is_empty() || input.judge.is_empty() {
-        return selected;
-    }
-    let mut item = 0;
-    while item < selected.state.items.len() {
-        let state = &selected.state;
-        if !acting::any_in(state.items[item].span, input.veto) {
-            // These runs say nothing about it.
-            item += 1;
-            continue;
-        }
-        let unseen = Unseen::of(evidence, input.structure, input.veto, state, search.operating_point);
-        let rest = state.without(&search.problem, item);
-        let surprise = |unseen: &Unseen, own: &State| {
-            let information = search.problem.information(&own.moments, &state.fit.phi);
-            unseen.update(Known { theta: &own.fit.theta, information: &information, phi: &state.fit.phi }).1
-        };
-        if surprise(&unseen, state) < surprise(&unseen.without(state.range(item)), &rest) {
-            item += 1;
-            continue;
-        }
-        let gone = state.items[item].clone();
-        let unmodelled =
-            (0..search.problem.evidence.joints()).map(|joint| rest.unmodelled(search.problem.evidence, joint));
-        let score = selected.found[item].score;
-        selected.path.push(Step { item: gone, added: false, score, unmodelled: unmodelled.sum() });
-        selected.found.remove(item);
-        selected.state = rest;
-        item = 0;
-    }
-    selected
-}
-
-/// Ends with the identified runs what came within them and without which the unseen runs after it are predicted better: it has gone by then.
-fn end_where_refuted(search: &Search, state: &mut State, evidence: &Evidence, input: &Input) {
-    let end = input.identify.iter().map(|trial| trial.start + trial.experiment.timeline.end()).fold(0.0, f64::max);
-    for item in 0..state.items.len() {
-        let span = state.items[item].span;
-        if span.is_all() || span.to.is_finite() || !acting::any_in(Span::since(end), input.deciding()) {
-            continue;
-        }
-        let unseen = Unseen::of(evidence, input.structure, input.deciding(), state, search.operating_point);
-        let mut without = state.fit.theta.clone();
-        let range = state.range(item);
-        without.rows_mut(range.start, range.len()).fill(0.0);
-        if unseen.gain(&state.fit.phi, &without, &state.fit.theta) < 0.0 {
-            state.items[item].span.to = end;
-        }
     }
 }
 

@@ -72,6 +72,7 @@ extern crate self as plumbline_diagnose;
 #[path = "../tests/diagnose/gates/synthetic.rs"]
 mod synthetic;
 mod unseen;
+mod veto;
 
 pub use diagnosis::{Outcome, diagnose};
 pub use evidence::{Evidence, Trial};

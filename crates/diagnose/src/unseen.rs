@@ -1,7 +1,7 @@
 //! Models on runs that they were not fitted to.
 
 use super::evidence::{Evidence, Trial};
-use super::fit::{group, inverse};
+use super::fit::{Problem, group, inverse};
 use super::moments::Columns;
 use super::outcome::Fitted;
 use super::state::{State, mean_square};
@@ -91,6 +91,12 @@ impl<'a> Unseen<'a> {
         let shift = inverse(&g) * &b;
         // Errors of the inverse are squared in this form.
         (known.theta + &shift, square - 2.0 * shift.dot(&b) + (g * &shift).dot(&shift))
+    }
+
+    /// [`Unseen::update`] of a state that was fitted to the problem's runs, with this over-dispersion.
+    pub fn update_of(&self, problem: &Problem, state: &State, phi: &[f64]) -> (DVector<f64>, f64) {
+        let information = problem.information(&state.moments, phi);
+        self.update(Known { theta: &state.fit.theta, information: &information, phi })
     }
 
     /// Residual of a joint, divided by the noise there.

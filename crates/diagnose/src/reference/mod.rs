@@ -118,32 +118,20 @@ pub fn families() -> Vec<&'static Family> {
 /// What changed since `reference` was identified; where the trials are of several sessions, before the first or with a later one. They
 /// are in mountings that the model is valid in. Nothing is found when they are too short.
 pub fn changes(reference: &TorqueModel, trials: &[Trial], settings: &Settings, progress: &Watch) -> Changes {
-    among(reference, trials, &families(), settings, progress)
-}
-
-/// [`changes`] of some families alone.
-pub fn among(
-    reference: &TorqueModel,
-    trials: &[Trial],
-    families: &[&'static Family],
-    settings: &Settings,
-    progress: &Watch,
-) -> Changes {
     let evidence = Evidence::of(reference.structure().chain(), trials, settings.band);
-    searched(reference, &evidence, trials, families, settings, progress)
+    searched(reference, &evidence, trials, settings, progress)
 }
 
-/// [`changes`] in unseen runs; the noise is that of the runs that `reference` was `identified` from.
+/// [`changes`] in runs that are unseen by the identification of `reference`; the noise is that of the runs that it was `identified` from.
 pub fn in_unseen(reference: &TorqueModel, identified: &[Trial], unseen: &[Trial], settings: &Settings) -> Changes {
     let evidence = Evidence::with_noise_of(reference.structure().chain(), unseen, identified, settings.band);
-    searched(reference, &evidence, unseen, &families(), settings, &|_| {})
+    searched(reference, &evidence, unseen, settings, &|_| {})
 }
 
 fn searched(
     reference: &TorqueModel,
     evidence: &Evidence,
     trials: &[Trial],
-    families: &[&'static Family],
     settings: &Settings,
     progress: &Watch,
 ) -> Changes {
@@ -160,8 +148,9 @@ fn searched(
     let base = State::base(&problem, Columns { m, r });
     let before = left_over(evidence, &base, &DVector::zeros(beta.len()));
     let operating_point = evidence.operating_point(structure, &beta);
-    let mut library = library::library(evidence, &operating_point, families, Span::ALL, settings.threads);
-    library.extend(since_sessions(evidence, &operating_point, families, settings.threads));
+    let families = families();
+    let mut library = library::library(evidence, &operating_point, &families, Span::ALL, settings.threads);
+    library.extend(since_sessions(evidence, &operating_point, &families, settings.threads));
     let search = Search { problem, operating_point: &operating_point, library: &library, settings };
     let (least, lacking) = (least(&search, &base), lack(evidence, &base));
     let selected = search.select(base, &[], progress);
