@@ -130,6 +130,7 @@ impl Even {
             count(column, of_period.repair(values.as_mut_slice(), measured, &mut alone));
         }
         left_out.iter_mut().zip(&alone).for_each(|(left_out, alone)| *left_out |= alone);
+        let mut unusable: Vec<bool> = (0..whole).map(|row| row < settling || long[row] || alone[row]).collect();
         let mut periods: Vec<usize> = (skipped..found).collect();
         // Periods that are excluded as a whole are removed.
         let gone = left_out.chunks(samples).enumerate().filter(|(_, period)| period.iter().all(|left_out| *left_out));
@@ -138,12 +139,13 @@ impl Even {
             rest = rest.remove_rows(k * samples, samples);
             filled.drain(k * samples..(k + 1) * samples);
             left_out.drain(k * samples..(k + 1) * samples);
+            unusable.drain(k * samples..(k + 1) * samples);
             periods.remove(k);
         }
         if periods.is_empty() {
             return Err(EstimateError::Periods { run: run.name.clone(), found, skipped: found, period });
         }
-        let weights = weights(&left_out, samples, dt);
+        let weights = weights(&left_out, &unusable, samples, dt);
         let averaged = average(&rest, &weights, &filled, samples, dt);
         Ok(Even {
             periods,

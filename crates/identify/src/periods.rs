@@ -8,6 +8,9 @@ use realfft::num_complex::Complex;
 /// Time over which a period fades out of the mean before samples that are left out, and in after them \[s\].
 const FADE_S: f64 = 0.5;
 
+/// Where the periods have less weight than this together, those that are left out there have the rest.
+const MIN_WEIGHT: f64 = 0.05;
+
 /// The power of noise is averaged over frequencies from `f / 1.3` to `1.3 f`,
 const SMOOTHING_RATIO: f64 = 1.3;
 /// and over as many more as have this many degrees of freedom together.
@@ -124,13 +127,23 @@ pub fn mean(values: &DMatrix<f64>, weights: &[f64], samples: usize) -> DMatrix<f
 
 /// Weight of every row in the mean over its periods, one in sum for each sample of a period.
 ///
-/// Rows that are `left_out` count nowhere but where all periods are. Periods differ a little, so a period fades out before rows that are left out and in after them: a step in the mean of the positions would be a
-/// blow in its accelerations. The end of the record adjoins its start, as the end of the mean does.
-pub fn weights(left_out: &[bool], samples: usize, dt: f64) -> Vec<f64> {
+/// Rows that are `left_out` count nowhere but where all periods are, and `unusable` ones not there either if there are others. Periods differ a little,
+/// so a period fades out before rows that are left out and in after them: a step in the mean of the positions would be a blow in its
+/// accelerations. The end of the record adjoins its start, as the end of the mean does.
+pub fn weights(left_out: &[bool], unusable: &[bool], samples: usize, dt: f64) -> Vec<f64> {
     let periods = left_out.len() / samples;
-    let times = time_to_nearest(periods * samples, dt, true, |row| left_out[row]);
     let quintic = |x: f64| x.powi(3) * (10.0 - 15.0 * x + 6.0 * x * x);
-    let mut weights: Vec<f64> = times.into_iter().map(|time| quintic((time / FADE_S).min(1.0))).collect();
+    let faded = |out: &dyn Fn(usize) -> bool| {
+        let times = time_to_nearest(periods * samples, dt, true, out).into_iter();
+        times.map(|time| quintic((time / FADE_S).min(1.0))).collect::<Vec<f64>>()
+    };
+    let mut weights = faded(&|row| left_out[row]);
+    let at_need = faded(&|row| unusable[row]);
+    for k in 0..samples {
+        let own = || (0..periods).map(|p| p * samples + k);
+        let missing = MIN_WEIGHT - own().map(|row| weights[row]).sum::<f64>();
+        own().filter(|&row| left_out[row] && missing > 0.0).for_each(|row| weights[row] = missing * at_need[row]);
+    }
     for k in 0..samples {
         let own = || (0..periods).map(|p| p * samples + k);
         let total: f64 = own().map(|row| weights[row]).sum();
@@ -370,7 +383,7 @@ mod tests {
         assert!((0..79).all(|row| apart(row) < 1e-9) && apart(79) < 0.05, "{values:?}");
         // What was filled tells nothing of the scatter.
         let values = DMatrix::from_vec(80, 1, values);
-        let weights = weights(&[false; 80], samples, 0.1);
+        let weights = weights(&[false; 80], &[false; 80], samples, 0.1);
         let one = average(&values, &weights, &filled, samples, 0.1);
         let all = average(&values, &weights, &[], samples, 0.1);
         assert!((&one.mean - &all.mean).amax() < 1e-12 && one.scatter.unwrap().std[0] > all.scatter.unwrap().std[0]);
@@ -392,7 +405,7 @@ mod tests {
         let values = DMatrix::from_fn(2 * samples, 1, |k, _| above(k));
         let mut left_out = vec![false; values.nrows()];
         left_out[..500].fill(true);
-        let mean = mean(&values, &weights(&left_out, samples, dt), samples);
+        let mean = mean(&values, &weights(&left_out, &vec![false; left_out.len()], samples, dt), samples);
         assert_eq!((mean[250], mean[2000]), (0.0, 0.5 * above(2000)));
         let ddq = |k: usize| {
             let at = |k: usize| mean[k % samples];
@@ -401,6 +414,20 @@ mod tests {
         let worst = (0..samples).map(ddq).fold(0.0, |worst: f64, ddq| worst.max(ddq.abs()));
         // A step of 0.3 mrad from one sample to the next would be 300 rad/s2.
         assert!(worst < 0.05, "{worst} rad/s2");
+    }
+
+    #[test]
+    fn what_is_left_out_counts_rather_than_a_period_that_is_not_settled() {
+        let (samples, dt) = (4000, 1e-3);
+        // The first period is 1 in all its samples, the second 2; 1 s of the first is not settled, and 0.4 s of the second are left out in there.
+        let values = DMatrix::from_fn(2 * samples, 1, |k, _| if k < samples { 1.0 } else { 2.0 });
+        let unsettled: Vec<bool> = (0..2 * samples).map(|k| k < 1000).collect();
+        let left_out: Vec<bool> =
+            unsettled.iter().enumerate().map(|(k, out)| *out || (4300..4700).contains(&k)).collect();
+        let mean = mean(&values, &weights(&left_out, &unsettled, samples, dt), samples);
+        for (k, expected) in [(200, 2.0), (500, 2.0), (900, 2.0), (2500, 1.5)] {
+            assert!((mean[k] - expected).abs() < 1e-12, "{k}: {}", mean[k]);
+        }
     }
 
     #[test]

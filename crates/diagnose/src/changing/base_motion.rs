@@ -78,7 +78,7 @@ pub(super) fn torques(record: &Record, load: &Load, lines: &[BaseMotion]) -> DMa
 }
 
 /// Torques of each joint per unit of acceleration of the base along each of its axes, over one period: N x 3 for each joint.
-fn gravity_columns(record: &Record, load: &Load) -> Vec<DMatrix<f64>> {
+pub(super) fn gravity_columns(record: &Record, load: &Load) -> Vec<DMatrix<f64>> {
     let still = DMatrix::zeros(record.samples, record.joints());
     let mut columns = vec![DMatrix::zeros(record.samples, 3); record.joints()];
     for c in 0..3 {

@@ -114,7 +114,7 @@ impl Along {
 }
 
 /// Friction of a joint over one period \[Nm\]; Coulomb friction of 1 Nm where it is not known.
-fn friction(joint: usize, motion: &Motion, operating_point: &OperatingPoint) -> Vec<f64> {
+pub(super) fn friction(joint: usize, motion: &Motion, operating_point: &OperatingPoint) -> Vec<f64> {
     let [fv, fc] = operating_point.friction.get(joint).copied().unwrap_or([0.0, 1.0]);
     motion.dq.column(joint).iter().map(|dq| fc * (SHARPNESS * dq).tanh() + fv * dq).collect()
 }

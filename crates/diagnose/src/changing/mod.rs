@@ -9,6 +9,7 @@ mod contact;
 mod courses;
 mod drift;
 mod effects;
+mod once;
 mod outlier;
 mod record;
 mod step;
@@ -23,7 +24,7 @@ pub use step::Step;
 use super::evidence::Trial;
 use super::span::Span;
 use courses::{Courses, Deviations};
-use nalgebra::DMatrix;
+use nalgebra::{DMatrix, DVector};
 use plumbline_core::{parallel, threads};
 use plumbline_identify::signal::spectral::Spectral;
 use plumbline_identify::{ExcludedSpan, Experiment, Scatter};
@@ -33,8 +34,8 @@ use record::Record;
 /// Time before and after an event that is left out too \[s\].
 const EVENT_MARGIN_S: f64 = 0.2;
 
-/// Smallest number of periods in which events are sought. Two have no majority. The median of three is one of them, so that the scale of
-/// deviations is too small and noise is flagged as events.
+/// Smallest number of periods in which an event may be something else than a contact. Two have no majority. The median of three is one of them, so
+/// that the scale of deviations is too small and noise is flagged as events.
 pub const LEAST_PERIODS: usize = 4;
 
 /// A run keeps everything where more than this share of it would be left out: what fills half of it did not happen once.
@@ -119,6 +120,14 @@ pub fn changing(operating_point: &OperatingPoint, trials: &[Trial]) -> Changing 
     let first = begin(trials);
     let mut records: Vec<Record> =
         trials.iter().filter_map(|trial| Record::of(trial.experiment, trial.start - first)).collect();
+    for trial in trials {
+        let (contacts, left_out) = once::contacts(trial.experiment, operating_point);
+        // The other period deviates too, and all of that would look like something that came.
+        let record = records.iter_mut().find(|record| std::ptr::eq(record.experiment, trial.experiment));
+        record.into_iter().for_each(|record| record.mask_spans(&left_out));
+        found.contacts.extend(contacts);
+        found.leave_out.extend(left_out);
+    }
     let mut courses = Deviations::of(&records, operating_point).courses();
     // What was fitted to an event goes where the event is masked, and what else an unknown course made an event comes back.
     for _ in 0..MAX_ROUNDS {
@@ -134,21 +143,39 @@ pub fn changing(operating_point: &OperatingPoint, trials: &[Trial]) -> Changing 
         let mut rest = &record.tau - course;
         let rows = rest.nrows();
         rest.as_mut_slice().chunks_mut(rows).for_each(|column| record.centre(column));
+        let periods = record.periods() as f64;
+        let noise = contact::Noise { record, rest: &rest, ratio: (periods / (periods - 1.0)).sqrt() };
         let lines = base_motion::base_motions(record, &operating_point.load, &rest);
         let known = course + base_motion::torques(record, &operating_point.load, &lines);
         found.base_motions.extend(lines);
-        if record.periods() < LEAST_PERIODS {
+        if record.periods() <= once::MAX_PERIODS {
             masks.push(vec![false; record.tau.nrows()]);
             continue;
         }
-
         let x = transient::robust(record, Some(&known), false);
-        let scale = transient::scales(&x);
-        let events = transient::events(record, &x);
+        let mut events = match record.periods() < LEAST_PERIODS {
+            true => Vec::new(),
+            false => transient::events(&x, record.dt, transient::MIN_ENERGY_DEVIATIONS),
+        };
+        let visible = contact::visible(record, &x);
+        // Two periods have no majority.
+        let counted = |row: usize| {
+            (row % record.samples..x.nrows()).step_by(record.samples).filter(|&row| !record.uncounted[row]).count()
+        };
+        let touched = |event: &transient::Event| {
+            let majority = (event.first..event.last).all(|row| counted(row) > once::MAX_PERIODS);
+            majority.then(|| contact::contact(operating_point, record, &visible, &noise, event)).flatten()
+        };
         for event in &events {
-            match contact::contact(&operating_point.chain, record, &x, &scale, event) {
+            match touched(event) {
                 Some(contact) => found.contacts.push(contact),
                 None => found.transients.push(transient_of(record, &x, event)),
+            }
+        }
+        for event in contact::candidates(record, &visible, &events) {
+            if let Some(contact) = touched(&event) {
+                found.contacts.push(contact);
+                events.push(event);
             }
         }
         let masked = transient::mask(record, &events, EVENT_MARGIN_S);
@@ -224,7 +251,8 @@ fn mask(records: &mut [Record], operating_point: &OperatingPoint, courses: &Cour
             return record.masked.clone();
         }
         let x = transient::robust(record, Some(&courses.torque(run, record, operating_point)), true);
-        record.without(&transient::mask(record, &transient::events(record, &x), EVENT_MARGIN_S))
+        let events = transient::events(&x, record.dt, transient::MIN_ENERGY_DEVIATIONS);
+        record.without(&transient::mask(record, &events, EVENT_MARGIN_S))
     });
     let mut changed = false;
     for (record, masked) in records.iter_mut().zip(masks) {
@@ -256,7 +284,7 @@ fn merged(mut stretches: Vec<ExcludedSpan>) -> Vec<ExcludedSpan> {
     out
 }
 
-/// Experiments whose noise spectrum is that of [`Changing::scatter`]. They may have fewer periods by now than those that were looked at.
+/// Takes the contacts off experiments, whose noise spectrum is that of [`Changing::scatter`] then. They may have fewer periods by now than those that were looked at.
 pub fn cleaned(experiments: &mut [Experiment], found: &Changing) {
     // Single samples that are off hardly count in the noise.
     if found.drifts.is_empty()
@@ -268,6 +296,15 @@ pub fn cleaned(experiments: &mut [Experiment], found: &Changing) {
         return;
     }
     for (experiment, scatter) in experiments.iter_mut().zip(&found.scatter) {
+        // Where a contact is left out it has no part in the mean, and nothing is taken off.
+        for contact in &found.contacts {
+            if contact.run != experiment.name {
+                continue;
+            }
+            let of_joint = |joint| DVector::from(experiment.timeline.mean_of(|t| contact.torque(joint, t)));
+            let torque = DMatrix::from_columns(&(0..experiment.joints()).map(of_joint).collect::<Vec<_>>());
+            experiment.take_off(&torque);
+        }
         for step in &found.steps {
             if step.run != experiment.name {
                 continue;

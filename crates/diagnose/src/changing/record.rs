@@ -3,7 +3,7 @@
 use crate::fold::Cosines;
 use nalgebra::DMatrix;
 use plumbline_identify::signal::time_to_nearest;
-use plumbline_identify::{Experiment, Repeats};
+use plumbline_identify::{ExcludedSpan, Experiment, Repeats};
 use plumbline_model::term::Motion;
 
 /// Samples of the grid are means over at most this time \[s\].
@@ -114,6 +114,13 @@ impl Record<'_> {
         self.fades = self.standing.iter().map(fade).collect();
         self.masked = masked;
         true
+    }
+
+    /// Lets the samples in these stretches of the run not count.
+    pub fn mask_spans(&mut self, spans: &[ExcludedSpan]) {
+        let out = |row: usize| spans.iter().any(|span| (span.from..span.to).contains(&self.time(row)));
+        let masked = (0..self.masked.len()).map(|row| self.masked[row] || out(row)).collect();
+        self.mask(masked);
     }
 
     /// Coefficients of a joint's signal up to a frequency, of the cosines over the whole run, which has no step where a period ends. The signal fades out

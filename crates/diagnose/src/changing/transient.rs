@@ -8,11 +8,11 @@ use nalgebra::DMatrix;
 /// Length of a window \[s\]; windows overlap by half.
 const WINDOW_S: f64 = 1.0;
 /// Median deviations from the median energy that make a window stand out.
-const MIN_ENERGY_DEVIATIONS: f64 = 25.0;
+pub(super) const MIN_ENERGY_DEVIATIONS: f64 = 25.0;
 /// Time over which energy is averaged to find begin and end \[s\].
 const SHORT_WINDOW_S: f64 = 0.1;
-/// Median deviations from the median energy within that time above which the event lasts.
-const LASTING_DEVIATIONS: f64 = 12.0;
+/// An event lasts while the energy within that time is above this share of the median deviations that make a window stand out.
+const LASTING_RATIO: f64 = 0.5;
 /// Share of the peak energy above which the event lasts.
 const LASTING_PEAK_RATIO: f64 = 0.03;
 /// Time between two events that are one \[s\].
@@ -55,36 +55,31 @@ pub(super) fn scales(x: &DMatrix<f64>) -> Vec<f64> {
     x.as_slice().chunks(x.nrows()).map(scale).collect()
 }
 
-/// Events in deviations as [`robust`] gives them. Rows are in the order of time but for periods that were left out.
-pub(super) fn events(record: &Record, x: &DMatrix<f64>) -> Vec<Event> {
-    if record.periods() < 3 {
-        // Two periods have no majority.
-        return Vec::new();
-    }
-    let rows = x.nrows();
-    let window = ((WINDOW_S / record.dt).round() as usize).clamp(1, rows);
+/// Events in deviations as [`robust`] gives them, every `dt` \[s\]: windows whose energy is so many median deviations above the median. Rows are in the order of time but for periods that were left out.
+pub(super) fn events(x: &DMatrix<f64>, dt: f64, min_deviations: f64) -> Vec<Event> {
+    let (rows, joints) = x.shape();
+    let window = ((WINDOW_S / dt).round() as usize).clamp(1, rows);
     let hop = (window / 2).max(1);
     let starts: Vec<usize> = (0..=rows - window).step_by(hop).collect();
-    let mut flagged = vec![vec![false; rows]; record.joints()];
+    let mut flagged = vec![vec![false; rows]; joints];
     for (column, flagged) in x.as_slice().chunks(rows).zip(&mut flagged) {
         let energy: Vec<f64> =
             starts.iter().map(|&start| column[start..start + window].iter().map(|x| x * x).sum()).collect();
-        let (middle, deviation) = spread(&energy);
+        let (middle, deviation) = spread_of_positive(&energy);
         for (&start, energy) in starts.iter().zip(&energy) {
-            if *energy > middle + MIN_ENERGY_DEVIATIONS * deviation && *energy > 0.0 {
+            if *energy > middle + min_deviations * deviation && *energy > 0.0 {
                 flagged[start..start + window].fill(true);
             }
         }
     }
     let scale = scales(x);
     // Energy of a tenth of a second, over the joints that stand out.
-    let half = ((SHORT_WINDOW_S / record.dt / 2.0).round() as usize).max(1);
-    let gap = (MIN_GAP_S / record.dt).round() as usize;
+    let half = ((SHORT_WINDOW_S / dt / 2.0).round() as usize).max(1);
+    let gap = (MIN_GAP_S / dt).round() as usize;
     let any: Vec<bool> = (0..rows).map(|row| flagged.iter().any(|joint| joint[row])).collect();
     let mut found = Vec::new();
     for (first, last) in stretches(&any) {
-        let joints: Vec<usize> =
-            (0..record.joints()).filter(|&j| flagged[j][first..last].iter().any(|flag| *flag)).collect();
+        let joints: Vec<usize> = (0..joints).filter(|&j| flagged[j][first..last].iter().any(|flag| *flag)).collect();
         let square = |row: usize| joints.iter().map(|&j| (x[(row, j)] / scale[j]).powi(2)).sum::<f64>();
         let mut sums = vec![0.0; rows + 1];
         for row in 0..rows {
@@ -95,9 +90,9 @@ pub(super) fn events(record: &Record, x: &DMatrix<f64>) -> Vec<Event> {
             (sums[to] - sums[from]) / (to - from) as f64
         };
         let all: Vec<f64> = (0..rows).map(short).collect();
-        let (middle, deviation) = spread(&all);
+        let (middle, deviation) = spread_of_positive(&all);
         let peak = all[first..last].iter().copied().fold(0.0, f64::max);
-        let least = (middle + LASTING_DEVIATIONS * deviation).max(LASTING_PEAK_RATIO * peak);
+        let least = (middle + LASTING_RATIO * min_deviations * deviation).max(LASTING_PEAK_RATIO * peak);
         let lasting: Vec<bool> = (0..rows).map(|row| (first..last).contains(&row) && all[row] > least).collect();
         let mut own: Vec<Event> = Vec::new();
         for (from, to) in stretches(&lasting) {
@@ -109,6 +104,11 @@ pub(super) fn events(record: &Record, x: &DMatrix<f64>) -> Vec<Event> {
         found.extend(own);
     }
     found
+}
+
+/// Median and median distance from it without samples that don't count, which are zero.
+fn spread_of_positive(energies: &[f64]) -> (f64, f64) {
+    spread(&energies.iter().copied().filter(|energy| *energy > 0.0).collect::<Vec<_>>())
 }
 
 /// Marks the rows of events, with some on either side \[s\].

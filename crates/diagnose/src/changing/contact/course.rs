@@ -1,0 +1,145 @@
+//! Courses over an event: `tau_j(t) = c_j(t)' w(t)` for known columns `c` and a course `w` that is continuous and piecewise linear (hat functions).
+
+use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
+
+/// Largest number of rounds between course and direction
+const MAX_DIRECTION_ROUNDS: usize = 30;
+/// and between course and point.
+pub(super) const MAX_ROUNDS: usize = 200;
+/// A round that takes off less than this share of the residual is the last one.
+pub(super) const SETTLED_RATIO: f64 = 1e-5;
+/// Ridge, as a share of the largest diagonal element: what few joints feel is as small as it can be.
+const RIDGE_RATIO: f64 = 1e-9;
+
+/// Torques of an event, over their noise.
+pub(super) struct Torques {
+    /// What acts from outside, the opposite of the torques: blocks x n.
+    pub tau: DMatrix<f64>,
+    /// Weight of each knot at each block: first knot, its weight; the next one has the rest.
+    pub hats: Vec<(usize, f64)>,
+    /// Number of knots.
+    pub knots: usize,
+}
+
+/// A course that was fitted.
+pub(super) struct Course {
+    /// Values at the knots, `width` each.
+    pub theta: DVector<f64>,
+    /// Components per knot.
+    pub width: usize,
+    /// Derivative of `theta` by the parameters.
+    gradient: DMatrix<f64>,
+    factor: Cholesky<f64, Dyn>,
+    /// Sum of the squares that are left.
+    pub rss: f64,
+}
+
+impl Course {
+    /// Value at a block.
+    pub fn at(&self, torques: &Torques, block: usize) -> DVector<f64> {
+        let (knot, weight) = torques.hats[block];
+        let of = |knot: usize| self.theta.rows(knot * self.width, self.width);
+        of(knot) * weight + of(knot + 1) * (1.0 - weight)
+    }
+
+    /// Standard deviation of a weighted sum of `theta`.
+    pub fn std(&self, weights: &DVector<f64>) -> f64 {
+        let own = self.gradient.tr_mul(weights);
+        self.factor.solve(&own).dot(&own).max(0.0).sqrt()
+    }
+}
+
+impl Torques {
+    /// Least squares of a course; `columns` of each joint, blocks x width.
+    pub fn fit(&self, columns: &[DMatrix<f64>]) -> Option<Course> {
+        let width = columns.first()?.ncols();
+        let size = width * self.knots;
+        let (mut g, mut b) = (DMatrix::zeros(size, size), DVector::zeros(size));
+        let mut row = DVector::zeros(2 * width);
+        for (block, &(knot, weight)) in self.hats.iter().enumerate() {
+            let at = knot * width;
+            for (joint, columns) in columns.iter().enumerate() {
+                for c in 0..width {
+                    let value = columns[(block, c)];
+                    (row[c], row[width + c]) = (weight * value, (1.0 - weight) * value);
+                }
+                g.view_mut((at, at), (2 * width, 2 * width)).ger(1.0, &row, &row, 1.0);
+                b.rows_mut(at, 2 * width).axpy(self.tau[(block, joint)], &row, 1.0);
+            }
+        }
+        let factor = ridged(g)?;
+        let theta = factor.solve(&b);
+        let rss = (self.tau.norm_squared() - b.dot(&theta)).max(0.0);
+        Some(Course { theta, width, gradient: DMatrix::identity(size, size), factor, rss })
+    }
+
+    /// The same of a course `w(t) = s(t) d` that keeps its direction, from one that need not.
+    pub fn fit_direction(&self, columns: &[DMatrix<f64>], free: &Course) -> Option<Course> {
+        let width = free.width;
+        // The direction that most of the free course has.
+        let knots = DMatrix::from_column_slice(width, self.knots, free.theta.as_slice());
+        let eigen = plumbline_core::symmetric_eigen(&knots * knots.transpose())?;
+        let mut direction = eigen.eigenvectors.column(eigen.eigenvalues.imax()).into_owned();
+        let mut best: Option<(DVector<f64>, f64)> = None;
+        for _ in 0..MAX_DIRECTION_ROUNDS {
+            let along: Vec<DMatrix<f64>> = columns
+                .iter()
+                .map(|columns| DMatrix::from_column_slice(columns.nrows(), 1, (columns * &direction).as_slice()))
+                .collect();
+            let course = self.fit(&along)?;
+            let before = best.as_ref().map_or(f64::INFINITY, |best| best.1);
+            if course.rss < before {
+                best = Some((
+                    DVector::from_fn(width * self.knots, |k, _| course.theta[k / width] * direction[k % width]),
+                    course.rss,
+                ));
+            }
+            if before - course.rss < SETTLED_RATIO * course.rss {
+                break;
+            }
+            let (mut g, mut b) = (DMatrix::zeros(width, width), DVector::zeros(width));
+            for block in 0..self.hats.len() {
+                let size = course.at(self, block)[0];
+                for (joint, columns) in columns.iter().enumerate() {
+                    let row = columns.row(block).transpose() * size;
+                    b.axpy(self.tau[(block, joint)], &row, 1.0);
+                    g.ger(1.0, &row, &row, 1.0);
+                }
+            }
+            direction = ridged(g)?.solve(&b).normalize();
+        }
+        let (theta, rss) = best?;
+        self.with_direction(columns, theta, width, rss)
+    }
+
+    /// Errors of a course that keeps its direction: its parameters are its sizes at the knots and the direction.
+    fn with_direction(&self, columns: &[DMatrix<f64>], theta: DVector<f64>, width: usize, rss: f64) -> Option<Course> {
+        let strongest = (0..self.knots)
+            .max_by(|&a, &b| theta.rows(a * width, width).norm().total_cmp(&theta.rows(b * width, width).norm()))?;
+        let direction = theta.rows(strongest * width, width).normalize();
+        let size = |knot: usize| theta.rows(knot * width, width).dot(&direction);
+        let mut gradient = DMatrix::zeros(width * self.knots, self.knots + width);
+        for knot in 0..self.knots {
+            gradient.view_mut((knot * width, knot), (width, 1)).copy_from(&direction);
+            for c in 0..width {
+                gradient[(knot * width + c, self.knots + c)] = size(knot);
+            }
+        }
+        let mut g = DMatrix::zeros(self.knots + width, self.knots + width);
+        for (block, &(knot, weight)) in self.hats.iter().enumerate() {
+            let derivative =
+                gradient.rows(knot * width, width) * weight + gradient.rows((knot + 1) * width, width) * (1.0 - weight);
+            for columns in columns {
+                let row = (columns.row(block) * &derivative).transpose();
+                g.ger(1.0, &row, &row, 1.0);
+            }
+        }
+        Some(Course { theta, width, gradient, factor: ridged(g)?, rss })
+    }
+}
+
+fn ridged(mut g: DMatrix<f64>) -> Option<Cholesky<f64, Dyn>> {
+    let ridge = RIDGE_RATIO * g.diagonal().max();
+    (0..g.nrows()).for_each(|k| g[(k, k)] += ridge);
+    g.cholesky()
+}

@@ -1,0 +1,489 @@
+//! Whether an event is a contact: a force at one point of a link, or a wrench on it, that moves all joints by the Jacobian.
+//!
+//!   tau = -J_l(q)' w(t)
+//!
+//! is what the actuators hold against a wrench `w` on the arm; `J_l` is that of a point of link `l`. The event is a contact when this explains
+//! nearly all of it, and better for its number of parameters than a course of its own in each joint and than a base that moves.
+//! Source: Haddadin, De Luca and Albu-Schaeffer, Robot collisions: a survey on detection, isolation, and identification, T-RO 2017.
+
+mod course;
+
+use super::base_motion::gravity_columns;
+use super::record::{Record, spread};
+use super::transient::{self, Event};
+use course::{Course, MAX_ROUNDS, SETTLED_RATIO, Torques};
+use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
+use plumbline_model::term::effect::OperatingPoint;
+use plumbline_model::{Chain, JointKind, Placement};
+use std::f64::consts::E;
+
+/// Time between knots \[s\].
+const KNOT_SPACING_S: f64 = 0.1;
+/// Largest number of knots.
+const MAX_KNOTS: usize = 24;
+/// Torques are averaged over this time \[s\]: where friction reverses, periods differ faster than a contact does.
+const BLOCK_S: f64 = 0.05;
+/// Median deviations from the median energy that make a second stand out as what may be a contact.
+const MIN_ENERGY_DEVIATIONS: f64 = 10.0;
+/// Time before and after the event that is fitted too \[s\].
+const MARGIN_S: f64 = 0.15;
+/// Smallest share of an event's energy that a contact explains.
+const MIN_EXPLAINED_RATIO: f64 = 0.9;
+/// Smallest difference to the score of what is no contact.
+const MIN_GAP: f64 = 30.0;
+/// So many deviations of the noise's squares are not counted as unexplained.
+const NOISE_DEVIATIONS: f64 = 2.0;
+/// Explanations that differ by less are as good.
+const SAME_LINK_RATIO: f64 = 0.02;
+/// Smallest number of windows of a recording that the noise over a long event is estimated from.
+const MIN_WINDOWS: usize = 12;
+/// A point is at most so far from its link's frame \[m\].
+const MAX_LEVER_M: f64 = 1.0;
+
+/// A contact in one run.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Contact {
+    /// Name of the run.
+    pub run: String,
+    /// Begin, since the first sample of the run \[s\].
+    pub from: f64,
+    /// End \[s\].
+    pub to: f64,
+    /// Periods that it is in, from 0.
+    pub periods: Vec<usize>,
+    /// Link that is touched, from 0; it may be any link further out when their joints hardly feel it.
+    pub link: usize,
+    /// Where, in the link's frame \[m\]: along the line of a force that keeps its direction the nearest point to the frame. Nothing when
+    /// a moment acts too.
+    pub point: Option<Vector3<f64>>,
+    /// Mean force on the arm in the base frame while it is more than half of its largest \[N\].
+    pub force: Vector3<f64>,
+    /// Its standard deviation \[N\].
+    pub force_std: Vector3<f64>,
+    /// Largest force \[N\].
+    pub peak: f64,
+    /// Mean moment on the arm about the origin of the link's frame, in the base frame \[Nm\].
+    pub moment: Vector3<f64>,
+    /// Share of the event's energy that it explains, beyond the noise.
+    pub explained: f64,
+    /// By how much its score is better than that of what is no contact.
+    pub gap: f64,
+    /// Times of the torques, since the first sample of the run \[s\].
+    times: Vec<f64>,
+    /// What it adds to the torques at these times, blocks x n \[Nm\].
+    tau: DMatrix<f64>,
+}
+
+impl Contact {
+    /// What it adds to the torque of a joint at a time \[s\] of its run \[Nm\].
+    pub fn torque(&self, joint: usize, t: f64) -> f64 {
+        let next = self.times.partition_point(|time| *time <= t);
+        if next == 0 || next == self.times.len() {
+            return 0.0;
+        }
+        let share = (t - self.times[next - 1]) / (self.times[next] - self.times[next - 1]);
+        (1.0 - share) * self.tau[(next - 1, joint)] + share * self.tau[(next, joint)]
+    }
+}
+
+/// Torques of an event, and where the arm was.
+struct Data<'a> {
+    chain: &'a Chain,
+    torques: Torques,
+    /// Noise of a block, n \[Nm\], if it were white as far as over the whole event: slow noise could be taken for a course.
+    scale: Vec<f64>,
+    /// Sum of squares that the noise makes of the torques, the number of those that are independent.
+    independent: f64,
+    /// Row of the record in the middle of each block.
+    rows: Vec<usize>,
+    /// Whether each joint is visible in each block, blocks x n.
+    visible: DMatrix<bool>,
+    /// Frames of all links at each block.
+    frames: Vec<Vec<Placement>>,
+}
+
+/// What acts on a link.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Act {
+    /// A force at a point of its frame that keeps its direction in the base frame.
+    Push(Vector3<f64>),
+    /// Any force at a point of its frame.
+    Force(Vector3<f64>),
+    /// Force and moment at its origin.
+    Wrench,
+}
+
+/// An explanation that was fitted.
+struct Fitted {
+    link: usize,
+    act: Act,
+    course: Course,
+    parameters: f64,
+    explained: f64,
+}
+
+/// What the deviations are made of where nothing happens.
+pub(super) struct Noise<'a> {
+    pub record: &'a Record<'a>,
+    /// Deviations of all periods, P N x n \[Nm\].
+    pub rest: &'a DMatrix<f64>,
+    /// Noise of one period over that of its deviation from the mean, which has a part of it.
+    pub ratio: f64,
+}
+
+impl Noise<'_> {
+    /// Standard deviation of the mean over so many rows of one period, n \[Nm\].
+    fn of_mean(&self, rows: usize) -> Vec<f64> {
+        let visible = visible(self.record, &DMatrix::from_element(self.rest.nrows(), self.rest.ncols(), 1.0));
+        let scale = |(means, visible): (&[f64], &[f64])| {
+            let whole = means.iter().zip(visible.chunks_exact(rows)).filter(|(_, visible)| !visible.contains(&0.0));
+            (1.4826 * spread(&whole.map(|(mean, _)| *mean).collect::<Vec<_>>()).1 * self.ratio).max(1e-9)
+        };
+        let means = means(self.rest, rows);
+        let columns = means.as_slice().chunks(means.nrows());
+        columns.zip(visible.as_slice().chunks(visible.nrows())).map(scale).collect()
+    }
+}
+
+/// Means over so many rows, one after another.
+fn means(x: &DMatrix<f64>, rows: usize) -> DMatrix<f64> {
+    let mean = |k: usize, j: usize| x.view((k * rows, j), (rows, 1)).sum() / rows as f64;
+    DMatrix::from_fn(x.nrows() / rows, x.ncols(), mean)
+}
+
+/// Rows of a block.
+fn block(record: &Record) -> usize {
+    ((BLOCK_S / record.dt).round() as usize).clamp(1, record.tau.nrows())
+}
+
+/// What may be a contact beside the events that are known: it stands out less, and is one only where a contact explains it.
+pub(super) fn candidates(record: &Record, x: &DMatrix<f64>, known: &[Event]) -> Vec<Event> {
+    let length = block(record);
+    let dt = length as f64 * record.dt;
+    let events = transient::events(&means(x, length), dt, MIN_ENERGY_DEVIATIONS);
+    let of_rows = |event: Event| Event { first: event.first * length, last: event.last * length, ..event };
+    let mut events: Vec<Event> = events.into_iter().map(of_rows).collect();
+    events.sort_by_key(|event| event.first.abs_diff(event.last));
+    let mut found: Vec<Event> = Vec::new();
+    for event in events.into_iter().rev() {
+        let meets = |other: &Event| event.first < other.last && other.first < event.last;
+        if !known.iter().chain(&found).any(meets) {
+            found.push(event);
+        }
+    }
+    found
+}
+
+/// Deviations in which a contact may show: nothing where samples don't count, and where a joint stands, for its friction holds any torque.
+pub(super) fn visible(record: &Record, x: &DMatrix<f64>) -> DMatrix<f64> {
+    let hidden = |row: usize, joint: usize| record.uncounted[row] || record.standing[joint][row % record.samples];
+    DMatrix::from_fn(x.nrows(), x.ncols(), |row, joint| if hidden(row, joint) { 0.0 } else { x[(row, joint)] })
+}
+
+/// The contact that explains an event; `None` when none does. `x` are [`visible`] deviations, `noise` is that of
+/// the means over a block.
+pub(super) fn contact(
+    operating_point: &OperatingPoint,
+    record: &Record,
+    x: &DMatrix<f64>,
+    noise: &Noise,
+    event: &Event,
+) -> Option<Contact> {
+    let chain = &operating_point.chain;
+    let data = Data::of(chain, record, x, noise, event);
+    let mut tried: Vec<Fitted> = (0..chain.len()).flat_map(|link| data.tried(link)).collect();
+    let most = tried.iter().map(|one| one.explained).fold(0.0, f64::max);
+    tried.retain(|one| one.explained >= MIN_EXPLAINED_RATIO);
+    // What explains as much with fewer numbers: the arm gives way a little and so has torques of its own, which a full wrench would take up.
+    let far = |one: &Fitted| one.explained < most - SAME_LINK_RATIO;
+    let order = |a: &Fitted, b: &Fitted| {
+        far(a).cmp(&far(b)).then(a.parameters.total_cmp(&b.parameters)).then(b.explained.total_cmp(&a.explained))
+    };
+    tried.sort_by(order);
+    let gravity: Vec<DMatrix<f64>> = gravity_columns(record, &operating_point.load);
+    let beats = |one: Fitted| {
+        let gap = data.gap(record, &gravity, &one);
+        (gap >= MIN_GAP).then_some((one, gap))
+    };
+    let (one, gap) = tried.into_iter().find_map(beats)?;
+    Some(data.report(record, event, &one, gap))
+}
+
+impl Data<'_> {
+    fn of<'a>(chain: &'a Chain, record: &Record, x: &DMatrix<f64>, noise: &Noise, event: &Event) -> Data<'a> {
+        let margin = (MARGIN_S / record.dt).round() as usize;
+        let (first, last) = (event.first.saturating_sub(margin), (event.last + margin).min(x.nrows()));
+        let seconds = (last - first) as f64 * record.dt;
+        let pieces = ((seconds / KNOT_SPACING_S).round() as usize).clamp(1, MAX_KNOTS - 1);
+        let length = block(record).min(last - first);
+        let begins: Vec<usize> = (first..=last - length).step_by(length).collect();
+        let middle = |begin: &usize| *begin as f64 + 0.5 * (length - 1) as f64;
+        let hat = |begin: &usize| {
+            let place = (middle(begin) - first as f64) / (last - first) as f64 * pieces as f64;
+            let knot = (place as usize).min(pieces - 1);
+            (knot, 1.0 - (place - knot as f64))
+        };
+        let long = (last - first).min(x.nrows() / MIN_WINDOWS).max(length);
+        let blocks = long as f64 / length as f64;
+        let of_block = noise.of_mean(length);
+        let of_long = noise.of_mean(long).into_iter().map(|noise| noise * blocks.sqrt());
+        let scale: Vec<f64> = of_long.zip(&of_block).map(|(long, block)| f64::max(long, *block)).collect();
+        let share = |(of_block, scale): (&f64, &f64)| (of_block / scale).powi(2);
+        let visible = DMatrix::from_fn(begins.len(), chain.len(), |k, j| {
+            x.view((begins[k], j), (length, 1)).iter().all(|value| *value != 0.0)
+        });
+        let shares = of_block.iter().zip(&scale).map(share).zip(visible.column_iter());
+        let independent: f64 = shares.map(|(share, own)| share * own.iter().filter(|own| **own).count() as f64).sum();
+        let mean = |k: usize, j: usize| match visible[(k, j)] {
+            true => -x.view((begins[k], j), (length, 1)).sum() / length as f64 / scale[j],
+            false => 0.0,
+        };
+        let rows: Vec<usize> = begins.iter().map(|begin| middle(begin) as usize).collect();
+        let frames = |row: &usize| {
+            let mut placement = Placement::identity();
+            let next = |(j, joint): (usize, &plumbline_model::Joint)| {
+                placement = placement.then(&joint.placement(record.motion.q[(row % record.samples, j)]));
+                placement
+            };
+            chain.joints().iter().enumerate().map(next).collect()
+        };
+        Data {
+            chain,
+            torques: Torques {
+                tau: DMatrix::from_fn(begins.len(), chain.len(), mean),
+                hats: begins.iter().map(hat).collect(),
+                knots: pieces + 1,
+            },
+            frames: rows.iter().map(frames).collect(),
+            visible,
+            rows,
+            scale,
+            independent,
+        }
+    }
+
+    /// What may act on a link.
+    fn tried(&self, link: usize) -> Vec<Fitted> {
+        let wrench = self.fit(link, Act::Wrench);
+        // Taking turns creeps, and a good start saves most of it: the frame's origin, or where the moments of a full wrench say.
+        let mut starts = vec![Vector3::zeros()];
+        starts.extend(wrench.as_ref().and_then(|wrench| self.lever(wrench)));
+        let force = self.at_best_point(link, &starts, Act::Force);
+        let of_force = force.as_ref().and_then(|force| force.act.point());
+        let push = of_force.and_then(|point| self.at_best_point(link, &[point], Act::Push));
+        [push, force, wrench].into_iter().flatten().collect()
+    }
+
+    /// What acts at the point of a link where it fits best: in turn the force for a point, and the point for a force.
+    fn at_best_point(&self, link: usize, starts: &[Vector3<f64>], act: fn(Vector3<f64>) -> Act) -> Option<Fitted> {
+        let fit = |point: &Vector3<f64>| self.fit(link, act(*point));
+        let mut best = starts.iter().filter_map(fit).min_by(|a, b| a.course.rss.total_cmp(&b.course.rss))?;
+        for _ in 0..MAX_ROUNDS {
+            let better = self.best_point(&best).and_then(|point| fit(&point));
+            let Some(better) = better.filter(|better| better.course.rss < best.course.rss) else { break };
+            let settled = best.course.rss - better.course.rss < SETTLED_RATIO * better.course.rss;
+            best = better;
+            if settled {
+                break;
+            }
+        }
+        Some(best)
+    }
+
+    fn fit(&self, link: usize, act: Act) -> Option<Fitted> {
+        let columns = self.columns(link, act);
+        let free = self.torques.fit(&columns)?;
+        let knots = self.torques.knots as f64;
+        let of_free = free.width.min(link + 1) as f64 * knots;
+        let (course, parameters) = match act {
+            Act::Push(_) => (self.torques.fit_direction(&columns, &free)?, knots + 5.0),
+            Act::Force(_) => (free, of_free + 3.0),
+            Act::Wrench => (free, of_free),
+        };
+        let before = self.torques.tau.norm_squared() - self.independent;
+        // As much less as the noise may be more.
+        let noise = (self.independent - parameters).max(0.0) + NOISE_DEVIATIONS * (2.0 * self.independent).sqrt();
+        let after = course.rss - noise;
+        let explained = if before <= 0.0 { 0.0 } else { (1.0 - after.max(0.0) / before).clamp(0.0, 1.0) };
+        Some(Fitted { link, act, course, parameters, explained })
+    }
+
+    /// Torques of all joints, over their noise, for the components of what acts: blocks x width each.
+    fn columns(&self, link: usize, act: Act) -> Vec<DMatrix<f64>> {
+        let width = if act == Act::Wrench { 6 } else { 3 };
+        let of_joint = |joint: usize| {
+            let mut columns = DMatrix::zeros(self.frames.len(), width);
+            for (block, frames) in self.frames.iter().enumerate() {
+                if !self.visible[(block, joint)] {
+                    continue;
+                }
+                let [force, moment] = self.transposed(frames, link, joint, act.place(&frames[link]));
+                for c in 0..width {
+                    columns[(block, c)] = if c < 3 { force[c] } else { moment[c - 3] } / self.scale[joint];
+                }
+            }
+            columns
+        };
+        (0..self.chain.len()).map(of_joint).collect()
+    }
+
+    /// Rows of `J'` of a joint for force and moment at a point in the base frame; nothing beyond the link.
+    fn transposed(&self, frames: &[Placement], link: usize, joint: usize, point: Vector3<f64>) -> [Vector3<f64>; 2] {
+        if joint > link {
+            return [Vector3::zeros(); 2];
+        }
+        let axis: Vector3<f64> = frames[joint].rotation.column(2).into();
+        match self.chain.joints()[joint].kind {
+            JointKind::Revolute => [axis.cross(&(point - frames[joint].origin)), axis],
+            JointKind::Prismatic => [axis, Vector3::zeros()],
+        }
+    }
+
+    /// By how much the score of an explanation is better than that of what is no contact: torques of each joint for itself, or a base that moves.
+    /// Score: residual over its noise, and `ln N` for each parameter. The noise is what the explanation leaves, if that is more than
+    /// the deviations have elsewhere: a contact is not refused for what it stirs up besides.
+    fn gap(&self, record: &Record, gravity: &[DMatrix<f64>], one: &Fitted) -> f64 {
+        let dispersion = (one.course.rss / self.independent).max(1.0);
+        let score = |rss: f64, parameters: f64| rss / dispersion + parameters * self.independent.max(E).ln();
+        let knots = self.torques.knots as f64;
+        let of_joint = |joint: usize| {
+            let square = self.torques.tau.column(joint).norm_squared();
+            let own = |other: usize| {
+                let of_block = |block: usize, _| f64::from(u8::from(other == joint && self.visible[(block, joint)]));
+                DMatrix::from_fn(self.rows.len(), 1, of_block)
+            };
+            let columns: Vec<DMatrix<f64>> = (0..self.chain.len()).map(own).collect();
+            let fitted = self.torques.fit(&columns).map(|course| course.rss - self.torques.tau.norm_squared() + square);
+            fitted.map_or(score(square, 0.0), |rss| score(rss, knots).min(score(square, 0.0)))
+        };
+        let joints = (0..self.chain.len()).map(of_joint).sum::<f64>();
+        let of_base = |(joint, gravity): (usize, &DMatrix<f64>)| {
+            DMatrix::from_fn(self.rows.len(), 3, |block, c| {
+                let column = gravity[(self.rows[block] % record.samples, c)] / self.scale[joint];
+                if self.visible[(block, joint)] { column } else { 0.0 }
+            })
+        };
+        let columns: Vec<DMatrix<f64>> = gravity.iter().enumerate().map(of_base).collect();
+        let free = self.torques.fit(&columns);
+        let base = free.map_or(f64::INFINITY, |free| {
+            let line = self.torques.fit_direction(&columns, &free);
+            score(free.rss, 3.0 * knots).min(line.map_or(f64::INFINITY, |line| score(line.rss, knots + 2.0)))
+        });
+        joints.min(base) - score(one.course.rss, one.parameters)
+    }
+
+    /// The point of a link, in its frame, about which a wrench has the least moment.
+    fn lever(&self, wrench: &Fitted) -> Option<Vector3<f64>> {
+        let (mut g, mut b) = (Matrix3::zeros(), Vector3::zeros());
+        for (block, frames) in self.frames.iter().enumerate() {
+            // m = R p x f = -[f] R p.
+            let [force, moment] = self.at(wrench, block);
+            let rows = -force.cross_matrix() * frames[wrench.link].rotation;
+            g += rows.transpose() * rows;
+            b += rows.transpose() * moment;
+        }
+        nearest(&g, &b)
+    }
+
+    /// The point of a link, in its frame, for which the moments of a known force fit best: `m = (R p) x f`.
+    fn best_point(&self, fitted: &Fitted) -> Option<Vector3<f64>> {
+        let (mut g, mut b) = (Matrix3::zeros(), Vector3::zeros());
+        for (block, frames) in self.frames.iter().enumerate() {
+            let [force, _] = self.at(fitted, block);
+            let frame = &frames[fitted.link];
+            for joint in 0..=fitted.link {
+                if !self.visible[(block, joint)] {
+                    continue;
+                }
+                let [linear, angular] = self.transposed(frames, fitted.link, joint, frame.origin);
+                let rest = self.torques.tau[(block, joint)] - linear.dot(&force) / self.scale[joint];
+                // z . (R p x f) = p . R' (f x z).
+                let row = frame.rotation.transpose() * force.cross(&angular) / self.scale[joint];
+                g += row * row.transpose();
+                b += row * rest;
+            }
+        }
+        nearest(&g, &b)
+    }
+
+    /// Force and moment at a block.
+    fn at(&self, fitted: &Fitted, block: usize) -> [Vector3<f64>; 2] {
+        let value = fitted.course.at(&self.torques, block);
+        let part =
+            |from: usize| if from < value.len() { value.fixed_rows::<3>(from).into_owned() } else { Vector3::zeros() };
+        [part(0), part(3)]
+    }
+
+    /// What an explanation adds to the torques, blocks x n \[Nm\].
+    fn torque(&self, fitted: &Fitted) -> DMatrix<f64> {
+        let columns = self.columns(fitted.link, fitted.act);
+        DMatrix::from_fn(self.rows.len(), self.chain.len(), |block, joint| {
+            let course = fitted.course.at(&self.torques, block);
+            -columns[joint].row(block).transpose().dot(&course) * self.scale[joint]
+        })
+    }
+
+    fn report(&self, record: &Record, event: &Event, fitted: &Fitted, gap: f64) -> Contact {
+        let sizes: Vec<f64> = (0..self.rows.len()).map(|block| self.at(fitted, block)[0].norm()).collect();
+        let peak = sizes.iter().copied().fold(0.0, f64::max);
+        let strong: Vec<usize> = (0..sizes.len()).filter(|&block| sizes[block] > 0.5 * peak).collect();
+        let share = 1.0 / strong.len().max(1) as f64;
+        let (mut force, mut moment, mut force_std) = (Vector3::zeros(), Vector3::zeros(), Vector3::zeros());
+        for &block in &strong {
+            let [now, about] = self.at(fitted, block);
+            force += now * share;
+            let frame = &self.frames[block][fitted.link];
+            moment += (about + (fitted.act.place(frame) - frame.origin).cross(&now)) * share;
+        }
+        for c in 0..3 {
+            let mut weights = DVector::zeros(fitted.course.theta.len());
+            for &block in &strong {
+                let (knot, weight) = self.torques.hats[block];
+                weights[knot * fitted.course.width + c] += share * weight;
+                weights[(knot + 1) * fitted.course.width + c] += share * (1.0 - weight);
+            }
+            force_std[c] = fitted.course.std(&weights);
+        }
+        let mut periods: Vec<usize> =
+            (event.first..event.last).map(|row| record.repeats.periods[row / record.samples]).collect();
+        periods.dedup();
+        Contact {
+            run: record.experiment.name.clone(),
+            from: record.time(event.first),
+            to: record.time(event.last - 1) + record.dt,
+            periods,
+            link: fitted.link,
+            point: fitted.act.point(),
+            force,
+            force_std,
+            peak,
+            moment,
+            explained: fitted.explained,
+            gap,
+            times: self.rows.iter().map(|&row| record.time(row)).collect(),
+            tau: self.torque(fitted),
+        }
+    }
+}
+
+impl Act {
+    /// Point in the link's frame; a wrench has none.
+    fn point(self) -> Option<Vector3<f64>> {
+        match self {
+            Act::Push(point) | Act::Force(point) => Some(point),
+            Act::Wrench => None,
+        }
+    }
+
+    /// Where it acts in the base frame.
+    fn place(self, frame: &Placement) -> Vector3<f64> {
+        frame.origin + frame.rotation * self.point().unwrap_or_default()
+    }
+}
+
+/// The point that solves `g p = b` and is near the frame along what that leaves open: along the force nothing tells where it acts.
+fn nearest(g: &Matrix3<f64>, b: &Vector3<f64>) -> Option<Vector3<f64>> {
+    let least = 1e-4 * g.diagonal().max();
+    let point = (g + Matrix3::identity() * least).try_inverse()? * b;
+    Some(if point.norm() > MAX_LEVER_M { point * (MAX_LEVER_M / point.norm()) } else { point })
+}

@@ -1,0 +1,77 @@
+//! Contacts in a run that repeats only once: which of two periods deviates is not known, so what deviates there deviates from the model.
+//! Runs without repeats are not searched: what the model lacks cannot be told from a contact there.
+
+use super::contact::{self, Contact, Noise};
+use super::drift::friction;
+use super::record::{Record, spread};
+use super::transient::{self, Event};
+use super::{EVENT_MARGIN_S, left_out};
+use nalgebra::DMatrix;
+use plumbline_identify::{ExcludedSpan, Experiment};
+use plumbline_model::term::effect::OperatingPoint;
+
+/// Largest number of periods without a majority.
+pub(super) const MAX_PERIODS: usize = 2;
+
+/// Largest energy of the other period at the same time, as a share of the contact's.
+const MAX_AGAIN_RATIO: f64 = 0.25;
+/// Largest energy of another event, as a share of the contact's.
+const MAX_OTHERS_RATIO: f64 = 0.5;
+
+/// Contacts and the stretches to be left out; none where there are more periods, or one.
+pub(super) fn contacts(experiment: &Experiment, operating_point: &OperatingPoint) -> (Vec<Contact>, Vec<ExcludedSpan>) {
+    let Some(repeats) = experiment.repeats.as_ref().filter(|repeats| repeats.periods.len() == MAX_PERIODS) else {
+        return Default::default();
+    };
+    let (mean, samples) = (unmodelled(experiment, operating_point), experiment.motion.samples());
+    let of_period = |row: usize, j: usize| match repeats.counted[row] {
+        true => repeats.tau[(row, j)] + mean[(row % samples, j)],
+        false => 0.0,
+    };
+    let deviations = DMatrix::from_fn(repeats.tau.nrows(), experiment.joints(), of_period);
+    let run = experiment.with_deviations(deviations);
+    let Some(record) = Record::of(&run, 0.0) else { return Default::default() };
+    let x = &contact::visible(&record, &record.tau);
+    let noise = Noise { record: &record, rest: &record.tau, ratio: 1.0 };
+    let scale = transient::scales(x);
+    let energy = |first: usize, last: usize| {
+        let of_row = |row: usize| (0..record.joints()).map(|j| (x[(row, j)] / scale[j]).powi(2)).sum::<f64>();
+        (first..last).map(of_row).sum::<f64>()
+    };
+    // What comes again in the other period is what the model lacks.
+    let comes_again = |event: &Event| {
+        let rows = x.nrows();
+        let [first, last] = [event.first, event.last].map(|row| (row + record.samples) % rows);
+        first < last && energy(first, last) > MAX_AGAIN_RATIO * energy(event.first, event.last)
+    };
+    let (mut touched, mut others) = (Vec::new(), 0.0_f64);
+    for event in contact::candidates(&record, x, &[]) {
+        let size = energy(event.first, event.last);
+        let contact = || contact::contact(operating_point, &record, x, &noise, &event);
+        match (!comes_again(&event)).then(contact).flatten() {
+            Some(contact) => touched.push((size, event, contact)),
+            None => others = others.max(size),
+        }
+    }
+    // Where as much happens that is no contact, the model lacks something.
+    touched.retain(|(size, ..)| others < MAX_OTHERS_RATIO * size);
+    let (events, found): (Vec<Event>, Vec<Contact>) =
+        touched.into_iter().map(|(_, event, contact)| (event, contact)).unzip();
+    let spans = left_out(&record, &transient::mask(&record, &events, EVENT_MARGIN_S));
+    (found, spans)
+}
+
+/// Torques that rigid bodies and friction leave, without their median, N x n \[Nm\].
+fn unmodelled(experiment: &Experiment, operating_point: &OperatingPoint) -> DMatrix<f64> {
+    let motion = &experiment.motion;
+    let mut left = &experiment.tau - &*operating_point.load.along(motion);
+    for (joint, mut column) in left.column_iter_mut().enumerate() {
+        if !operating_point.friction.is_empty() {
+            let friction = friction(joint, motion, operating_point);
+            column.iter_mut().zip(friction).for_each(|(left, friction)| *left -= friction);
+        }
+        let (middle, _) = spread(column.as_slice());
+        column.add_scalar_mut(-middle);
+    }
+    left
+}
