@@ -339,12 +339,6 @@ impl Experiment {
         self.noise_of_deviations();
     }
 
-    /// With other deviations of the periods' torques, P N x n \[Nm\]; without repeats as it is.
-    pub fn with_deviations(&self, tau: DMatrix<f64>) -> Experiment {
-        let repeats = self.repeats.as_ref().map(|own| Repeats { tau, ..own.clone() });
-        Experiment { repeats, ..self.clone() }
-    }
-
     /// Subtracts what came once from the mean torques, N x n \[Nm\].
     pub fn take_off(&mut self, torque: &DMatrix<f64>) {
         self.tau -= torque;
@@ -352,7 +346,7 @@ impl Experiment {
 
     /// Subtracts the torque of a drift from the mean torques, N x n \[Nm\].
     pub fn take_off_drift(&mut self, torque: DMatrix<f64>) {
-        self.tau -= &torque;
+        self.take_off(&torque);
         self.drift = Some(torque);
     }
 

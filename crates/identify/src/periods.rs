@@ -143,9 +143,6 @@ pub fn weights(left_out: &[bool], unusable: &[bool], samples: usize, dt: f64) ->
         let own = || (0..periods).map(|p| p * samples + k);
         let missing = MIN_WEIGHT - own().map(|row| weights[row]).sum::<f64>();
         own().filter(|&row| left_out[row] && missing > 0.0).for_each(|row| weights[row] = missing * at_need[row]);
-    }
-    for k in 0..samples {
-        let own = || (0..periods).map(|p| p * samples + k);
         let total: f64 = own().map(|row| weights[row]).sum();
         own().for_each(|row| weights[row] = if total > 0.0 { weights[row] / total } else { 1.0 / periods as f64 });
     }

@@ -143,8 +143,6 @@ pub fn changing(operating_point: &OperatingPoint, trials: &[Trial]) -> Changing 
         let mut rest = &record.tau - course;
         let rows = rest.nrows();
         rest.as_mut_slice().chunks_mut(rows).for_each(|column| record.centre(column));
-        let periods = record.periods() as f64;
-        let noise = contact::Noise { record, rest: &rest, ratio: (periods / (periods - 1.0)).sqrt() };
         let lines = base_motion::base_motions(record, &operating_point.load, &rest);
         let known = course + base_motion::torques(record, &operating_point.load, &lines);
         found.base_motions.extend(lines);
@@ -157,6 +155,8 @@ pub fn changing(operating_point: &OperatingPoint, trials: &[Trial]) -> Changing 
             true => Vec::new(),
             false => transient::events(&x, record.dt, transient::MIN_ENERGY_DEVIATIONS),
         };
+        let periods = record.periods() as f64;
+        let noise = contact::Noise { record, rest: &rest, ratio: (periods / (periods - 1.0)).sqrt() };
         let visible = contact::visible(record, &x);
         // Two periods have no majority.
         let counted = |row: usize| {
@@ -284,7 +284,8 @@ fn merged(mut stretches: Vec<ExcludedSpan>) -> Vec<ExcludedSpan> {
     out
 }
 
-/// Takes the contacts off experiments, whose noise spectrum is that of [`Changing::scatter`] then. They may have fewer periods by now than those that were looked at.
+/// Takes the contacts off experiments, whose noise spectrum is that of [`Changing::scatter`] then. They may have fewer periods by now than those that
+/// were looked at.
 pub fn cleaned(experiments: &mut [Experiment], found: &Changing) {
     // Single samples that are off hardly count in the noise.
     if found.drifts.is_empty()

@@ -3,7 +3,7 @@
 
 use super::contact::{self, Contact, Noise};
 use super::drift::friction;
-use super::record::{Record, spread};
+use super::record::{Record, blocks, spread};
 use super::transient::{self, Event};
 use super::{EVENT_MARGIN_S, left_out};
 use nalgebra::DMatrix;
@@ -20,17 +20,14 @@ const MAX_OTHERS_RATIO: f64 = 0.5;
 
 /// Contacts and the stretches to be left out; none where there are more periods, or one.
 pub(super) fn contacts(experiment: &Experiment, operating_point: &OperatingPoint) -> (Vec<Contact>, Vec<ExcludedSpan>) {
-    let Some(repeats) = experiment.repeats.as_ref().filter(|repeats| repeats.periods.len() == MAX_PERIODS) else {
-        return Default::default();
-    };
-    let (mean, samples) = (unmodelled(experiment, operating_point), experiment.motion.samples());
-    let of_period = |row: usize, j: usize| match repeats.counted[row] {
-        true => repeats.tau[(row, j)] + mean[(row % samples, j)],
-        false => 0.0,
-    };
-    let deviations = DMatrix::from_fn(repeats.tau.nrows(), experiment.joints(), of_period);
-    let run = experiment.with_deviations(deviations);
-    let Some(record) = Record::of(&run, 0.0) else { return Default::default() };
+    let record = Record::of(experiment, 0.0).filter(|record| record.periods() == MAX_PERIODS);
+    let Some(mut record) = record else { return Default::default() };
+    let mean = blocks(&unmodelled(experiment, operating_point), record.step);
+    let samples = record.samples;
+    for (joint, mut column) in record.tau.column_iter_mut().enumerate() {
+        column.iter_mut().enumerate().for_each(|(row, tau)| *tau += mean[(row % samples, joint)]);
+    }
+    let record = record;
     let x = &contact::visible(&record, &record.tau);
     let noise = Noise { record: &record, rest: &record.tau, ratio: 1.0 };
     let scale = transient::scales(x);

@@ -102,6 +102,11 @@ impl Record<'_> {
         (row as f64 + middle) * self.dt
     }
 
+    /// Whether a sample shows nothing of a joint's torque: it is not in the mean, or the joint stands and its friction holds any torque.
+    pub fn hides(&self, row: usize, joint: usize) -> bool {
+        self.uncounted[row] || self.standing[joint][row % self.samples]
+    }
+
     /// Lets these samples not count; whether that changes anything.
     pub fn mask(&mut self, masked: Vec<bool>) -> bool {
         if self.masked == masked {
@@ -243,7 +248,7 @@ pub(super) fn spread(values: &[f64]) -> (f64, f64) {
 }
 
 /// Means of `step` rows each.
-fn blocks(x: &DMatrix<f64>, step: usize) -> DMatrix<f64> {
+pub(super) fn blocks(x: &DMatrix<f64>, step: usize) -> DMatrix<f64> {
     let mean = |k: usize, j: usize| x.view((k * step, j), (step, 1)).sum() / step as f64;
     DMatrix::from_fn(x.nrows() / step, x.ncols(), mean)
 }

@@ -55,7 +55,8 @@ pub(super) fn scales(x: &DMatrix<f64>) -> Vec<f64> {
     x.as_slice().chunks(x.nrows()).map(scale).collect()
 }
 
-/// Events in deviations as [`robust`] gives them, every `dt` \[s\]: windows whose energy is so many median deviations above the median. Rows are in the order of time but for periods that were left out.
+/// Events in deviations as [`robust`] gives them, every `dt` \[s\]: windows whose energy is so many median deviations above the median. Rows are
+/// in the order of time but for periods that were left out.
 pub(super) fn events(x: &DMatrix<f64>, dt: f64, min_deviations: f64) -> Vec<Event> {
     let (rows, joints) = x.shape();
     let window = ((WINDOW_S / dt).round() as usize).clamp(1, rows);

@@ -177,14 +177,24 @@ fn pushed(seed: u64) -> (Vec<Run>, Vector3<f64>, Vector3<f64>) {
 /// A push at link 6 for 0.8 s in so many periods.
 fn pushed_at(begin: f64, periods: usize, seed: u64) -> (Vec<Run>, Vector3<f64>, Vector3<f64>) {
     let (point, force) = (Vector3::new(0.05, -0.04, 0.02), Vector3::new(4.0, -7.0, 5.0));
+    (pushed_by(point, force, periods, seed, |t| window(t, begin, begin + 0.8)), point, force)
+}
+
+/// A push at link 6 by a share of a force over time.
+fn pushed_by(
+    point: Vector3<f64>,
+    force: Vector3<f64>,
+    periods: usize,
+    seed: u64,
+    share: impl Fn(f64) -> f64,
+) -> Vec<Run> {
     let chain = &stage().chain;
-    let runs = recorded_periods(1, periods, seed, |at, tau| {
-        let share = window(at.t, begin, begin + 0.8);
+    recorded_periods(1, periods, seed, |at, tau| {
+        let share = share(at.t);
         if share > 0.0 {
             of_force(chain, &at.q, 5, point, force * share).iter().zip(tau).for_each(|(own, tau)| *tau += own);
         }
-    });
-    (runs, point, force)
+    })
 }
 
 #[test]
@@ -230,14 +240,8 @@ fn a_contact_is_found_in_few_periods() {
 #[test]
 fn what_comes_in_every_period_or_in_one_joint_is_no_contact() {
     // A push of the model's lack: in both periods, at the same place.
-    let chain = &stage().chain;
-    let again = recorded_periods(1, 2, 61, |at, tau| {
-        let share = window(at.t % 10.0, 4.2, 5.0);
-        let force = Vector3::new(4.0, -7.0, 5.0) * share;
-        if share > 0.0 {
-            of_force(chain, &at.q, 5, Vector3::zeros(), force).iter().zip(tau).for_each(|(own, tau)| *tau += own);
-        }
-    });
+    let force = Vector3::new(4.0, -7.0, 5.0);
+    let again = pushed_by(Vector3::zeros(), force, 2, 61, |t| window(t % 10.0, 4.2, 5.0));
     // A cable that catches in one joint.
     let alone = recorded_periods(1, 3, 62, |at, tau| tau[3] += 2.0 * window(at.t, 14.2, 15.0));
     for runs in [again, alone] {

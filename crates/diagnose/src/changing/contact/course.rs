@@ -2,10 +2,8 @@
 
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 
-/// Largest number of rounds between course and direction
-const MAX_DIRECTION_ROUNDS: usize = 30;
-/// and between course and point.
-pub(super) const MAX_ROUNDS: usize = 200;
+/// Largest number of rounds between course and direction.
+const MAX_ROUNDS: usize = 30;
 /// A round that takes off less than this share of the residual is the last one.
 pub(super) const SETTLED_RATIO: f64 = 1e-5;
 /// Ridge, as a share of the largest diagonal element: what few joints feel is as small as it can be.
@@ -27,11 +25,18 @@ pub(super) struct Course {
     pub theta: DVector<f64>,
     /// Components per knot.
     pub width: usize,
-    /// Derivative of `theta` by the parameters.
-    gradient: DMatrix<f64>,
-    factor: Cholesky<f64, Dyn>,
+    /// Sizes at the knots and the direction, of a course that keeps it.
+    line: Option<(DVector<f64>, DVector<f64>)>,
     /// Sum of the squares that are left.
     pub rss: f64,
+}
+
+/// Errors of a course.
+pub(super) struct Errors {
+    /// Derivative of `theta` by the parameters.
+    gradient: DMatrix<f64>,
+    /// Of the information of the parameters.
+    factor: Cholesky<f64, Dyn>,
 }
 
 impl Course {
@@ -42,6 +47,21 @@ impl Course {
         of(knot) * weight + of(knot + 1) * (1.0 - weight)
     }
 
+    /// Derivative of `theta` by the parameters: itself, or the sizes at the knots and the direction.
+    fn gradient(&self) -> DMatrix<f64> {
+        let Some((sizes, direction)) = &self.line else {
+            return DMatrix::identity(self.theta.len(), self.theta.len());
+        };
+        let mut gradient = DMatrix::zeros(self.theta.len(), sizes.len() + self.width);
+        for (knot, size) in sizes.iter().enumerate() {
+            gradient.view_mut((knot * self.width, knot), (self.width, 1)).copy_from(direction);
+            gradient.view_mut((knot * self.width, sizes.len()), (self.width, self.width)).fill_diagonal(*size);
+        }
+        gradient
+    }
+}
+
+impl Errors {
     /// Standard deviation of a weighted sum of `theta`.
     pub fn std(&self, weights: &DVector<f64>) -> f64 {
         let own = self.gradient.tr_mul(weights);
@@ -67,10 +87,9 @@ impl Torques {
                 b.rows_mut(at, 2 * width).axpy(self.tau[(block, joint)], &row, 1.0);
             }
         }
-        let factor = ridged(g)?;
-        let theta = factor.solve(&b);
+        let theta = ridged(g)?.solve(&b);
         let rss = (self.tau.norm_squared() - b.dot(&theta)).max(0.0);
-        Some(Course { theta, width, gradient: DMatrix::identity(size, size), factor, rss })
+        Some(Course { theta, width, line: None, rss })
     }
 
     /// The same of a course `w(t) = s(t) d` that keeps its direction, from one that need not.
@@ -80,23 +99,11 @@ impl Torques {
         let knots = DMatrix::from_column_slice(width, self.knots, free.theta.as_slice());
         let eigen = plumbline_core::symmetric_eigen(&knots * knots.transpose())?;
         let mut direction = eigen.eigenvectors.column(eigen.eigenvalues.imax()).into_owned();
-        let mut best: Option<(DVector<f64>, f64)> = None;
-        for _ in 0..MAX_DIRECTION_ROUNDS {
-            let along: Vec<DMatrix<f64>> = columns
-                .iter()
-                .map(|columns| DMatrix::from_column_slice(columns.nrows(), 1, (columns * &direction).as_slice()))
-                .collect();
-            let course = self.fit(&along)?;
-            let before = best.as_ref().map_or(f64::INFINITY, |best| best.1);
-            if course.rss < before {
-                best = Some((
-                    DVector::from_fn(width * self.knots, |k, _| course.theta[k / width] * direction[k % width]),
-                    course.rss,
-                ));
-            }
-            if before - course.rss < SETTLED_RATIO * course.rss {
-                break;
-            }
+        let mut best: Option<Course> = None;
+        for _ in 0..MAX_ROUNDS {
+            let along = |columns: &DMatrix<f64>| DMatrix::from_columns(&[columns * &direction]);
+            let course = self.fit(&columns.iter().map(along).collect::<Vec<_>>())?;
+            let before = best.as_ref().map_or(f64::INFINITY, |best| best.rss);
             let (mut g, mut b) = (DMatrix::zeros(width, width), DVector::zeros(width));
             for block in 0..self.hats.len() {
                 let size = course.at(self, block)[0];
@@ -106,35 +113,32 @@ impl Torques {
                     g.ger(1.0, &row, &row, 1.0);
                 }
             }
+            let Course { theta: sizes, rss, .. } = course;
+            if rss < before {
+                let theta = DVector::from_fn(width * self.knots, |k, _| sizes[k / width] * direction[k % width]);
+                best = Some(Course { theta, width, line: Some((sizes, direction)), rss });
+            }
+            if before - rss < SETTLED_RATIO * rss {
+                break;
+            }
             direction = ridged(g)?.solve(&b).normalize();
         }
-        let (theta, rss) = best?;
-        self.with_direction(columns, theta, width, rss)
+        best
     }
 
-    /// Errors of a course that keeps its direction: its parameters are its sizes at the knots and the direction.
-    fn with_direction(&self, columns: &[DMatrix<f64>], theta: DVector<f64>, width: usize, rss: f64) -> Option<Course> {
-        let strongest = (0..self.knots)
-            .max_by(|&a, &b| theta.rows(a * width, width).norm().total_cmp(&theta.rows(b * width, width).norm()))?;
-        let direction = theta.rows(strongest * width, width).normalize();
-        let size = |knot: usize| theta.rows(knot * width, width).dot(&direction);
-        let mut gradient = DMatrix::zeros(width * self.knots, self.knots + width);
-        for knot in 0..self.knots {
-            gradient.view_mut((knot * width, knot), (width, 1)).copy_from(&direction);
-            for c in 0..width {
-                gradient[(knot * width + c, self.knots + c)] = size(knot);
-            }
-        }
-        let mut g = DMatrix::zeros(self.knots + width, self.knots + width);
+    /// Errors of a course that was fitted to these columns.
+    pub fn errors(&self, columns: &[DMatrix<f64>], course: &Course) -> Option<Errors> {
+        let gradient = course.gradient();
+        let mut g = DMatrix::zeros(gradient.ncols(), gradient.ncols());
         for (block, &(knot, weight)) in self.hats.iter().enumerate() {
-            let derivative =
-                gradient.rows(knot * width, width) * weight + gradient.rows((knot + 1) * width, width) * (1.0 - weight);
+            let of = |knot: usize| gradient.rows(knot * course.width, course.width);
+            let derivative = of(knot) * weight + of(knot + 1) * (1.0 - weight);
             for columns in columns {
                 let row = (columns.row(block) * &derivative).transpose();
                 g.ger(1.0, &row, &row, 1.0);
             }
         }
-        Some(Course { theta, width, gradient, factor: ridged(g)?, rss })
+        Some(Errors { gradient, factor: ridged(g)? })
     }
 }
 

@@ -11,7 +11,7 @@ mod course;
 use super::base_motion::gravity_columns;
 use super::record::{Record, spread};
 use super::transient::{self, Event};
-use course::{Course, MAX_ROUNDS, SETTLED_RATIO, Torques};
+use course::{Course, SETTLED_RATIO, Torques};
 use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 use plumbline_model::term::effect::OperatingPoint;
 use plumbline_model::{Chain, JointKind, Placement};
@@ -37,6 +37,8 @@ const NOISE_DEVIATIONS: f64 = 2.0;
 const SAME_LINK_RATIO: f64 = 0.02;
 /// Smallest number of windows of a recording that the noise over a long event is estimated from.
 const MIN_WINDOWS: usize = 12;
+/// Largest number of rounds between course and point.
+const MAX_ROUNDS: usize = 200;
 /// A point is at most so far from its link's frame \[m\].
 const MAX_LEVER_M: f64 = 1.0;
 
@@ -122,6 +124,14 @@ struct Fitted {
     explained: f64,
 }
 
+/// What is no contact, fitted to the same event.
+struct Rivals {
+    /// Sum of the squares of each joint's torques, and what a course of its own leaves of it.
+    joints: Vec<(f64, f64)>,
+    /// What a base that moves leaves, and one that keeps its direction.
+    base: [f64; 2],
+}
+
 /// What the deviations are made of where nothing happens.
 pub(super) struct Noise<'a> {
     pub record: &'a Record<'a>,
@@ -134,14 +144,13 @@ pub(super) struct Noise<'a> {
 impl Noise<'_> {
     /// Standard deviation of the mean over so many rows of one period, n \[Nm\].
     fn of_mean(&self, rows: usize) -> Vec<f64> {
-        let visible = visible(self.record, &DMatrix::from_element(self.rest.nrows(), self.rest.ncols(), 1.0));
-        let scale = |(means, visible): (&[f64], &[f64])| {
-            let whole = means.iter().zip(visible.chunks_exact(rows)).filter(|(_, visible)| !visible.contains(&0.0));
-            (1.4826 * spread(&whole.map(|(mean, _)| *mean).collect::<Vec<_>>()).1 * self.ratio).max(1e-9)
-        };
         let means = means(self.rest, rows);
-        let columns = means.as_slice().chunks(means.nrows());
-        columns.zip(visible.as_slice().chunks(visible.nrows())).map(scale).collect()
+        let scale = |(joint, means): (usize, &[f64])| {
+            let hidden = |block: usize| (block * rows..(block + 1) * rows).any(|row| self.record.hides(row, joint));
+            let counted = means.iter().enumerate().filter(|(block, _)| !hidden(*block));
+            (1.4826 * spread(&counted.map(|(_, mean)| *mean).collect::<Vec<_>>()).1 * self.ratio).max(1e-9)
+        };
+        means.as_slice().chunks(means.nrows()).enumerate().map(scale).collect()
     }
 }
 
@@ -162,26 +171,18 @@ pub(super) fn candidates(record: &Record, x: &DMatrix<f64>, known: &[Event]) -> 
     let dt = length as f64 * record.dt;
     let events = transient::events(&means(x, length), dt, MIN_ENERGY_DEVIATIONS);
     let of_rows = |event: Event| Event { first: event.first * length, last: event.last * length, ..event };
-    let mut events: Vec<Event> = events.into_iter().map(of_rows).collect();
-    events.sort_by_key(|event| event.first.abs_diff(event.last));
-    let mut found: Vec<Event> = Vec::new();
-    for event in events.into_iter().rev() {
-        let meets = |other: &Event| event.first < other.last && other.first < event.last;
-        if !known.iter().chain(&found).any(meets) {
-            found.push(event);
-        }
-    }
-    found
+    let meets = |event: &Event, other: &Event| event.first < other.last && other.first < event.last;
+    let apart = |event: &Event| !known.iter().any(|other| meets(event, other));
+    events.into_iter().map(of_rows).filter(apart).collect()
 }
 
-/// Deviations in which a contact may show: nothing where samples don't count, and where a joint stands, for its friction holds any torque.
+/// Deviations in which a contact may show, zero where [`Record::hides`].
 pub(super) fn visible(record: &Record, x: &DMatrix<f64>) -> DMatrix<f64> {
-    let hidden = |row: usize, joint: usize| record.uncounted[row] || record.standing[joint][row % record.samples];
-    DMatrix::from_fn(x.nrows(), x.ncols(), |row, joint| if hidden(row, joint) { 0.0 } else { x[(row, joint)] })
+    let shown = |row: usize, joint: usize| if record.hides(row, joint) { 0.0 } else { x[(row, joint)] };
+    DMatrix::from_fn(x.nrows(), x.ncols(), shown)
 }
 
-/// The contact that explains an event; `None` when none does. `x` are [`visible`] deviations, `noise` is that of
-/// the means over a block.
+/// The contact that explains an event; `None` when none does. `x` are [`visible`] deviations.
 pub(super) fn contact(
     operating_point: &OperatingPoint,
     record: &Record,
@@ -200,13 +201,16 @@ pub(super) fn contact(
         far(a).cmp(&far(b)).then(a.parameters.total_cmp(&b.parameters)).then(b.explained.total_cmp(&a.explained))
     };
     tried.sort_by(order);
-    let gravity: Vec<DMatrix<f64>> = gravity_columns(record, &operating_point.load);
+    if tried.is_empty() {
+        return None;
+    }
+    let rivals = data.rivals(record, &gravity_columns(record, &operating_point.load));
     let beats = |one: Fitted| {
-        let gap = data.gap(record, &gravity, &one);
+        let gap = data.gap(&rivals, &one);
         (gap >= MIN_GAP).then_some((one, gap))
     };
     let (one, gap) = tried.into_iter().find_map(beats)?;
-    Some(data.report(record, event, &one, gap))
+    data.report(record, event, &one, gap)
 }
 
 impl Data<'_> {
@@ -339,24 +343,16 @@ impl Data<'_> {
         }
     }
 
-    /// By how much the score of an explanation is better than that of what is no contact: torques of each joint for itself, or a base that moves.
-    /// Score: residual over its noise, and `ln N` for each parameter. The noise is what the explanation leaves, if that is more than
-    /// the deviations have elsewhere: a contact is not refused for what it stirs up besides.
-    fn gap(&self, record: &Record, gravity: &[DMatrix<f64>], one: &Fitted) -> f64 {
-        let dispersion = (one.course.rss / self.independent).max(1.0);
-        let score = |rss: f64, parameters: f64| rss / dispersion + parameters * self.independent.max(E).ln();
-        let knots = self.torques.knots as f64;
+    /// Torques of each joint for itself, and a base that moves by its gravity columns over one period.
+    fn rivals(&self, record: &Record, gravity: &[DMatrix<f64>]) -> Rivals {
         let of_joint = |joint: usize| {
-            let square = self.torques.tau.column(joint).norm_squared();
-            let own = |other: usize| {
-                let of_block = |block: usize, _| f64::from(u8::from(other == joint && self.visible[(block, joint)]));
-                DMatrix::from_fn(self.rows.len(), 1, of_block)
-            };
-            let columns: Vec<DMatrix<f64>> = (0..self.chain.len()).map(own).collect();
-            let fitted = self.torques.fit(&columns).map(|course| course.rss - self.torques.tau.norm_squared() + square);
-            fitted.map_or(score(square, 0.0), |rss| score(rss, knots).min(score(square, 0.0)))
+            let tau = self.torques.tau.columns(joint, 1).into_owned();
+            let square = tau.norm_squared();
+            let column = self.visible.column(joint).map(|visible| f64::from(u8::from(visible)));
+            let alone = Torques { tau, hats: self.torques.hats.clone(), knots: self.torques.knots };
+            let course = alone.fit(&[DMatrix::from_columns(&[column])]);
+            (square, course.map_or(square, |course| course.rss))
         };
-        let joints = (0..self.chain.len()).map(of_joint).sum::<f64>();
         let of_base = |(joint, gravity): (usize, &DMatrix<f64>)| {
             DMatrix::from_fn(self.rows.len(), 3, |block, c| {
                 let column = gravity[(self.rows[block] % record.samples, c)] / self.scale[joint];
@@ -365,10 +361,22 @@ impl Data<'_> {
         };
         let columns: Vec<DMatrix<f64>> = gravity.iter().enumerate().map(of_base).collect();
         let free = self.torques.fit(&columns);
-        let base = free.map_or(f64::INFINITY, |free| {
-            let line = self.torques.fit_direction(&columns, &free);
-            score(free.rss, 3.0 * knots).min(line.map_or(f64::INFINITY, |line| score(line.rss, knots + 2.0)))
-        });
+        let line = free.as_ref().and_then(|free| self.torques.fit_direction(&columns, free));
+        let left = |course: Option<Course>| course.map_or(f64::INFINITY, |course| course.rss);
+        Rivals { joints: (0..self.chain.len()).map(of_joint).collect(), base: [left(free), left(line)] }
+    }
+
+    /// By how much the score of an explanation is better than that of what is no contact.
+    /// Score: residual over its noise, and `ln N` for each parameter. The noise is what the explanation leaves, if that is more than
+    /// the deviations have elsewhere: a contact is not refused for what it stirs up besides.
+    fn gap(&self, rivals: &Rivals, one: &Fitted) -> f64 {
+        let dispersion = (one.course.rss / self.independent).max(1.0);
+        let score = |rss: f64, parameters: f64| rss / dispersion + parameters * self.independent.max(E).ln();
+        let knots = self.torques.knots as f64;
+        let of_joint = |&(square, rss): &(f64, f64)| score(rss, knots).min(score(square, 0.0));
+        let joints = rivals.joints.iter().map(of_joint).sum::<f64>();
+        let [free, line] = rivals.base;
+        let base = score(free, 3.0 * knots).min(score(line, knots + 2.0));
         joints.min(base) - score(one.course.rss, one.parameters)
     }
 
@@ -414,16 +422,9 @@ impl Data<'_> {
         [part(0), part(3)]
     }
 
-    /// What an explanation adds to the torques, blocks x n \[Nm\].
-    fn torque(&self, fitted: &Fitted) -> DMatrix<f64> {
+    fn report(&self, record: &Record, event: &Event, fitted: &Fitted, gap: f64) -> Option<Contact> {
         let columns = self.columns(fitted.link, fitted.act);
-        DMatrix::from_fn(self.rows.len(), self.chain.len(), |block, joint| {
-            let course = fitted.course.at(&self.torques, block);
-            -columns[joint].row(block).transpose().dot(&course) * self.scale[joint]
-        })
-    }
-
-    fn report(&self, record: &Record, event: &Event, fitted: &Fitted, gap: f64) -> Contact {
+        let errors = self.torques.errors(&columns, &fitted.course)?;
         let sizes: Vec<f64> = (0..self.rows.len()).map(|block| self.at(fitted, block)[0].norm()).collect();
         let peak = sizes.iter().copied().fold(0.0, f64::max);
         let strong: Vec<usize> = (0..sizes.len()).filter(|&block| sizes[block] > 0.5 * peak).collect();
@@ -442,12 +443,16 @@ impl Data<'_> {
                 weights[knot * fitted.course.width + c] += share * weight;
                 weights[(knot + 1) * fitted.course.width + c] += share * (1.0 - weight);
             }
-            force_std[c] = fitted.course.std(&weights);
+            force_std[c] = errors.std(&weights);
         }
         let mut periods: Vec<usize> =
             (event.first..event.last).map(|row| record.repeats.periods[row / record.samples]).collect();
         periods.dedup();
-        Contact {
+        let torque = |block: usize, joint: usize| {
+            let course = fitted.course.at(&self.torques, block);
+            -columns[joint].row(block).transpose().dot(&course) * self.scale[joint]
+        };
+        Some(Contact {
             run: record.experiment.name.clone(),
             from: record.time(event.first),
             to: record.time(event.last - 1) + record.dt,
@@ -461,8 +466,8 @@ impl Data<'_> {
             explained: fitted.explained,
             gap,
             times: self.rows.iter().map(|&row| record.time(row)).collect(),
-            tau: self.torque(fitted),
-        }
+            tau: DMatrix::from_fn(self.rows.len(), self.chain.len(), torque),
+        })
     }
 }
 
