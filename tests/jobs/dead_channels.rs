@@ -7,6 +7,7 @@ use plumbline_model::{Reduction, Structure, TorqueModel};
 use plumbline_testkit::job::*;
 use plumbline_testkit::scene::Scene;
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
 fn run(scene: &Scene, file: &str, role: Role, periodic: bool) -> Run {
     scene.dataset_run(file, role, (3, 7), 4, periodic)
@@ -129,6 +130,14 @@ fn an_arm_without_a_model_is_stopped() {
     let status = wait_for("the stop", || place.status().filter(|now| now.progress == Progress::Stopped));
     let why = status.stopped.unwrap();
     assert!(why.contains("no model within 2 s (safety.model-timeout)"), "{why}");
+    // Simulated time does not run on at full speed.
+    let cycles = || place.status().map(|now| now.cycles);
+    let mut last = None;
+    wait_for("the end of simulated time", || {
+        std::thread::sleep(Duration::from_millis(100));
+        let now = cycles();
+        (std::mem::replace(&mut last, now) == now).then_some(())
+    });
     let done = place.quit(daemon);
     assert!(done.err.contains("the arm is being stopped: the estimator gave no model"), "{}", done.output());
 }
@@ -136,7 +145,7 @@ fn an_arm_without_a_model_is_stopped() {
 #[test]
 fn a_run_ends_although_its_estimator_hangs() {
     let place = Place::new("endless-estimator");
-    let run = Running::start(place.job("run", &short(&["safety.model-timeout=1 s", "excitation.periods=30"])));
+    let run = Running::start(place.job("run", &short(&["safety.model-timeout=1 s", "excitation.periods=8"])));
     let estimator = wait_for("the estimator", || children(run.pid(), "estimator").first().copied());
     wait_for("the motion", || (place.status()?.cycles > 1_000).then_some(()));
     signal(estimator, "STOP");

@@ -332,7 +332,10 @@ impl Session {
                 Next::Aborted => {}
             }
             match event {
-                Event::Stopped => self.shut_gate(),
+                Event::Stopped => {
+                    self.parked = None;
+                    self.shut_gate();
+                }
                 Event::Resumed => self.open_gate(),
                 _ => {}
             }
