@@ -3,7 +3,7 @@
 set -euo pipefail
 
 venv=$(dirname "$0")/venv.sh
-# tests/identification: export_peers, consistency_peers; tests/fci_servers.rs
+# tests/identification: export_peers, consistency_peers; tests/fci/external_servers.rs
 "$venv" 'pin==4.1.0' 'mujoco==3.*' 'clarabel==0.11.*' scipy 'franka-sim==1.1.7' 'franky-sim==1.0.4'
 # tests/fci/fci_clients.rs
 "$venv" --in libfranka-0.9 'panda-python==1.1.1'

@@ -18,9 +18,6 @@ use std::process::{Child, Command, Stdio};
 use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-#[global_allocator]
-static ALLOCATOR: assert_no_alloc::AllocDisabler = assert_no_alloc::AllocDisabler;
-
 /// Two simulators at once are too much for a small machine.
 static ONE_AT_A_TIME: Mutex<()> = Mutex::new(());
 
