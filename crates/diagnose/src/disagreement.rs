@@ -3,9 +3,9 @@
 //! One model for all runs is an assumption. A tool that was picked up, a base that was tilted or a sensor that was zeroed between two runs breaks
 //! it, and the runs that were identified from cannot show that.
 
-use super::evidence::{Evidence, Trial};
+use super::evidence::{Evidence, LOW_BANDS, Trial};
 use super::outcome::{Disagreement, Fitted};
-use super::state::mean_square;
+use super::state::mean_square_below;
 use super::unseen::Unseen;
 use nalgebra::DVector;
 use plumbline_model::Chain;
@@ -34,7 +34,8 @@ pub struct Disagreements {
 ///
 ///   E = sqrt(noise^2 + lack^2 + 1.5^2 mean_k(m_k' C m_k))
 ///
-/// with `m_k` the row of sample k and `C` the covariance of the parameters: the noise is an average over many samples, but all samples share the errors of
+/// below 4 Hz, where the errors of models lie: encoders make noise that grows with the frequency and would hide them. `m_k` is the row of sample k and
+/// `C` the covariance of the parameters: the noise is an average over many samples, but all samples share the errors of
 /// the parameters, which are often larger than their standard deviation. `identified` are the runs that `fitted` was identified from, in `evidence`.
 pub fn disagreements(
     chain: &Chain,
@@ -47,11 +48,12 @@ pub fn disagreements(
     let beta = DVector::from_column_slice(&fitted.identification.beta);
     let own = Unseen::of_model(evidence, fitted, identified);
     let lack = |joint: usize| {
-        let square = mean_square(evidence, joint, &own.residual(joint, &beta));
-        (square - evidence.floor(joint).map_or(0.0, |floor| floor * floor)).max(0.0)
+        let square = mean_square_below(evidence, joint, &own.residual(joint, &beta), LOW_BANDS);
+        (square - evidence.floor_below(joint, LOW_BANDS).map_or(0.0, |floor| floor * floor)).max(0.0)
     };
     let lacks: Vec<f64> = (0..evidence.joints()).map(lack).collect();
-    let noise: Vec<f64> = (0..evidence.joints()).map(|joint| noise_of_period(evidence, identified, joint)).collect();
+    let of_period = |joint: usize| evidence.floor_of_a_period_below(joint, LOW_BANDS).unwrap_or(0.0).powi(2);
+    let noise: Vec<f64> = (0..evidence.joints()).map(of_period).collect();
     let mut found = Disagreements { different: Vec::new(), undetermined: Vec::new() };
     for trial in unseen {
         let trials = std::slice::from_ref(trial);
@@ -62,8 +64,8 @@ pub fn disagreements(
         let model = Unseen::of_model(&of_run, fitted, trials);
         let periods = trial.experiment.averaged_periods() as f64;
         let joint = |deviations: f64, joint: usize| {
-            let square = mean_square(&of_run, joint, &model.residual(joint, &beta));
-            let parameters = model.variance(joint, &fitted.identification.covariance);
+            let square = mean_square_below(&of_run, joint, &model.residual(joint, &beta), LOW_BANDS);
+            let parameters = model.variance(joint, &fitted.identification.covariance, LOW_BANDS);
             let expected = noise[joint] / periods + lacks[joint] + deviations * deviations * parameters;
             Disagreement {
                 run: trial.experiment.name.clone(),
@@ -82,16 +84,4 @@ pub fn disagreements(
         }
     }
     found
-}
-
-/// Mean square of the noise of one period in the band \[Nm2\]; 0 where it is not known.
-fn noise_of_period(evidence: &Evidence, trials: &[Trial], joint: usize) -> f64 {
-    if !evidence.repeats() {
-        return 0.0;
-    }
-    let square = |fold: &super::Fold| {
-        let periods = trials[fold.experiment].experiment.averaged_periods() as f64;
-        periods * evidence.sigma(joint)[fold.rows.clone()].iter().map(|sigma| sigma * sigma).sum::<f64>()
-    };
-    evidence.folds().iter().map(square).sum::<f64>() / evidence.samples()
 }

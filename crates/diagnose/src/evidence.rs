@@ -19,6 +19,8 @@ use std::ops::Range;
 
 /// Upper edges of the bands that have a scale of their own \[Hz\].
 pub const BAND_EDGES_HZ: [f64; 7] = [0.55, 1.05, 2.0, 4.0, 8.0, 16.0, f64::INFINITY];
+/// Number of the bands that are the low ones: below 4 Hz.
+pub const LOW_BANDS: usize = 4;
 /// Blocks that the motions that do not repeat are cut into, all together.
 const WANTED_BLOCKS: f64 = 20.0;
 

@@ -1,6 +1,6 @@
 //! What a candidate has to show besides a score: that it holds on trajectories it was not fitted to, and that it matters.
 
-use super::evidence::{BAND_EDGES_HZ, Evidence};
+use super::evidence::{BAND_EDGES_HZ, Evidence, LOW_BANDS};
 use super::fit::{Problem, group};
 use super::library::Candidate;
 use super::moments::Moments;
@@ -183,9 +183,6 @@ pub struct Relevance {
     /// there what spoils the torque of every slow motion.
     pub low: Vec<(f64, f64)>,
 }
-
-/// Number of the bands that are the low ones: below 4 Hz.
-const LOW_BANDS: usize = 4;
 
 /// Measures it.
 pub fn relevance(evidence: &Evidence, state: &State, tried: &Tried, item: &Candidate) -> Relevance {

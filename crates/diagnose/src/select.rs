@@ -13,7 +13,7 @@ use super::search;
 use super::span::Span;
 use super::state::{State, Tried, every};
 use plumbline_core::parallel;
-use plumbline_model::term::effect::{OperatingPoint, Setting, Site, Spec};
+use plumbline_model::term::effect::{OperatingPoint, Setting, Spec};
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// Candidates that are fitted in full at each step.
@@ -24,6 +24,9 @@ const MIN_START_GAIN_RATIO: f64 = 0.5;
 const BEGIN_RESOLUTION_S: f64 = 0.05;
 /// Candidates above this share of the best score are tied, where the noise is unknown.
 const TIE_RATIO: f64 = 0.8;
+/// A form whose score is better by no more than this is not preferred to one of the same effect with fewer settings, for outside of the recorded range
+/// they may differ much. Only from here on the evidence is strong (Kass and Raftery, Journal of the American Statistical Association 90, 1995).
+const MIN_FORM_GAP: f64 = 6.0;
 /// Candidates that an outcome lists.
 pub(super) const MAX_LISTED_SCORES: usize = 10;
 /// Largest score difference of a rival that the data cannot separate from the chosen effect.
@@ -291,7 +294,7 @@ impl<'a> Search<'a> {
             return false;
         }
         let relevance = gates::relevance(self.evidence(), state, &one.tried, &one.item);
-        if !gates::matters(self.evidence(), &relevance, self.settings) && !self.is_common(state, &one.item) {
+        if !gates::matters(self.evidence(), &relevance, self.settings) {
             return false;
         }
         let folds = gates::folds(&self.problem, state, &one.tried);
@@ -300,24 +303,14 @@ impl<'a> Search<'a> {
             && (self.evidence().repeats() || folds.hold(blocks, one.penalty, self.settings.least_share_left_out))
     }
 
-    /// Whether at least half of the other joints have the same effect. Gears of one make have one law of friction: it is there in joints too where
-    /// its torque alone would not be worth a term, and where it is missing the rigid body's parameters take it over and spoil other joints.
-    fn is_common(&self, state: &State, item: &Candidate) -> bool {
-        let Site::Joint(own) = item.spec.site else { return false };
-        let same = |other: &&Candidate| {
-            let elsewhere = matches!(other.spec.site, Site::Joint(joint) if joint != own);
-            elsewhere && other.spec.family == item.spec.family && other.span == item.span
-        };
-        let count = state.items.iter().filter(same).count();
-        count > 0 && 2 * count >= self.evidence().joints() - 1
-    }
-
     /// Of candidates that pass, the best; of those that are nearly as good the simplest, where the score is no exact measure.
     fn choose(&self, state: &State, proposals: Vec<Scored>) -> Option<Scored> {
         let mut proposals = proposals.into_iter();
         let best = proposals.find(|one| self.passes(state, one))?;
         if self.evidence().repeats() {
-            return Some(best);
+            let other_form = |one: &Scored| one.item.same_effect(&best.item) && one.score >= best.score - MIN_FORM_GAP;
+            let near: Vec<Scored> = proposals.filter(|one| other_form(one) && self.passes(state, one)).collect();
+            return [best].into_iter().chain(near).min_by_key(|one| one.item.spec.settings.len());
         }
         let least = TIE_RATIO * best.score;
         let near = proposals.take_while(|one| one.score >= least).filter(|one| self.passes(state, one));
@@ -369,8 +362,12 @@ impl<'a> Search<'a> {
                 continue;
             };
             let others = self.proposed(&rest, |other| near(other) && !other.alike(&chosen), progress);
-            let least = own.score + if self.evidence().repeats() { 0.0 } else { MAX_RIVAL_SCORE_GAP };
-            let better = others.iter().find(|other| other.score > least && self.passes(&rest, other));
+            let least = |other: &Candidate| {
+                let more = other.same_effect(&chosen) && other.spec.settings.len() > chosen.spec.settings.len();
+                let gap = if more { MIN_FORM_GAP } else { 0.0 };
+                own.score + if self.evidence().repeats() { gap } else { MAX_RIVAL_SCORE_GAP }
+            };
+            let better = others.iter().find(|other| other.score > least(&other.item) && self.passes(&rest, other));
             if let Some(better) = better.filter(|_| swaps > 0) {
                 swaps -= 1;
                 self.record(path, &rest, chosen, false, own.score, progress);

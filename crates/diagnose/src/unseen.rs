@@ -119,14 +119,14 @@ impl<'a> Unseen<'a> {
         (0..self.evidence.joints()).map(fall).sum()
     }
 
-    /// Mean square of the torque that errors of the parameters with this covariance cause in a joint \[Nm2\].
-    pub fn variance(&self, joint: usize, covariance: &DMatrix<f64>) -> f64 {
+    /// Mean square of the torque that errors of the parameters with this covariance cause in a joint, in the lowest `bands` \[Nm2\].
+    pub fn variance(&self, joint: usize, covariance: &DMatrix<f64>, bands: usize) -> f64 {
         let columns = self.columns.m[joint].columns(0, covariance.ncols());
         let mut spread = columns * covariance;
         spread.component_mul_assign(&columns);
-        let squares = spread.row_iter().zip(self.evidence.sigma(joint));
-        let sum: f64 = squares.map(|(row, sigma)| row.sum().max(0.0) * sigma * sigma).sum();
-        sum / self.evidence.samples()
+        let sigma = self.evidence.sigma(joint);
+        let square = |row: usize| spread.row(row).sum().max(0.0) * sigma[row] * sigma[row];
+        self.evidence.rows_below(joint, bands).map(square).sum::<f64>() / self.evidence.samples()
     }
 
     /// Mean square of what a model lacks in a joint, over that of the noise; nothing where that is not known.

@@ -9,6 +9,7 @@ mod contact;
 mod courses;
 mod drift;
 mod effects;
+mod events;
 mod once;
 mod outlier;
 mod record;
@@ -20,10 +21,12 @@ pub use contact::Contact;
 pub use drift::{Course, Drift, Drifting, Shared};
 pub use outlier::Hygiene;
 pub use step::Step;
+pub use transient::Transient;
 
 use super::evidence::Trial;
 use super::span::Span;
 use courses::{Courses, Deviations};
+use events::Events;
 use nalgebra::{DMatrix, DVector};
 use plumbline_core::{parallel, threads};
 use plumbline_identify::signal::spectral::Spectral;
@@ -43,23 +46,6 @@ const MAX_LEFT_OUT_RATIO: f64 = 0.5;
 
 /// Most times that courses are fitted again without what is masked beside them.
 const MAX_ROUNDS: usize = 3;
-
-/// Something that happened once and is no contact.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Transient {
-    /// Name of the run.
-    pub run: String,
-    /// Begin, since the first sample of the run \[s\].
-    pub from: f64,
-    /// End \[s\].
-    pub to: f64,
-    /// Period that it begins in, from 0.
-    pub period: usize,
-    /// Joints in which it shows, from 0.
-    pub joints: Vec<usize>,
-    /// RMS of the deviation meanwhile, per joint \[Nm\].
-    pub rms: Vec<f64>,
-}
 
 /// What differs from period to period.
 #[derive(Clone, Debug, Default)]
@@ -128,10 +114,16 @@ pub fn changing(operating_point: &OperatingPoint, trials: &[Trial]) -> Changing 
         found.contacts.extend(contacts);
         found.leave_out.extend(left_out);
     }
+    // A contact would be taken for steps of friction and offset.
+    let passing = parallel(&records, threads(), |record| events::passing(record, operating_point, EVENT_MARGIN_S));
+    for (record, passing) in records.iter_mut().zip(&passing) {
+        let masked = record.masked.iter().zip(passing).map(|(masked, passing)| *masked || *passing).collect();
+        record.mask(masked);
+    }
     let mut courses = Deviations::of(&records, operating_point).courses();
     // What was fitted to an event goes where the event is masked, and what else an unknown course made an event comes back.
     for _ in 0..MAX_ROUNDS {
-        if !mask(&mut records, operating_point, &courses) {
+        if !mask(&mut records, &passing, operating_point, &courses) {
             break;
         }
         courses = Deviations::of(&records, operating_point).courses();
@@ -140,45 +132,21 @@ pub fn changing(operating_point: &OperatingPoint, trials: &[Trial]) -> Changing 
     let torques: Vec<DMatrix<f64>> = torques.collect();
     let mut masks = Vec::new();
     for (record, course) in records.iter().zip(&torques) {
-        let mut rest = &record.tau - course;
+        let left = &record.tau - course;
+        let mut rest = left.clone();
         let rows = rest.nrows();
         rest.as_mut_slice().chunks_mut(rows).for_each(|column| record.centre(column));
         let lines = base_motion::base_motions(record, &operating_point.load, &rest);
-        let known = course + base_motion::torques(record, &operating_point.load, &lines);
+        let left = left - base_motion::torques(record, &operating_point.load, &lines);
         found.base_motions.extend(lines);
         if record.periods() <= once::MAX_PERIODS {
-            masks.push(vec![false; record.tau.nrows()]);
+            masks.push(record.masked.clone());
             continue;
         }
-        let x = transient::robust(record, Some(&known), false);
-        let mut events = match record.periods() < LEAST_PERIODS {
-            true => Vec::new(),
-            false => transient::events(&x, record.dt, transient::MIN_ENERGY_DEVIATIONS),
-        };
-        let periods = record.periods() as f64;
-        let noise = contact::Noise { record, rest: &rest, ratio: (periods / (periods - 1.0)).sqrt() };
-        let visible = contact::visible(record, &x);
-        // Two periods have no majority.
-        let counted = |row: usize| {
-            (row % record.samples..x.nrows()).step_by(record.samples).filter(|&row| !record.uncounted[row]).count()
-        };
-        let touched = |event: &transient::Event| {
-            let majority = (event.first..event.last).all(|row| counted(row) > once::MAX_PERIODS);
-            majority.then(|| contact::contact(operating_point, record, &visible, &noise, event)).flatten()
-        };
-        for event in &events {
-            match touched(event) {
-                Some(contact) => found.contacts.push(contact),
-                None => found.transients.push(transient_of(record, &x, event)),
-            }
-        }
-        for event in contact::candidates(record, &visible, &events) {
-            if let Some(contact) = touched(&event) {
-                found.contacts.push(contact);
-                events.push(event);
-            }
-        }
-        let masked = transient::mask(record, &events, EVENT_MARGIN_S);
+        let events = Events::of(record, operating_point, &left, false);
+        let masked = events.mask(record, EVENT_MARGIN_S);
+        found.contacts.extend(events.contacts.into_iter().map(|(_, contact)| contact));
+        found.transients.extend(events.others);
         found.leave_out.extend(left_out(record, &masked));
         masks.push(masked);
     }
@@ -242,17 +210,20 @@ pub fn until_the_end(
     Some(trials.iter().map(of_run).collect())
 }
 
-/// Masks the events that are left without the courses; whether that changed anything.
-fn mask(records: &mut [Record], operating_point: &OperatingPoint, courses: &Courses) -> bool {
+/// Masks the events that are left without the courses, and what passes; whether that changed anything.
+fn mask(records: &mut [Record], passing: &[Vec<bool>], operating_point: &OperatingPoint, courses: &Courses) -> bool {
     let runs: Vec<usize> = (0..records.len()).collect();
     let masks = parallel(&runs, threads(), |&run| {
         let record = &records[run];
         if record.periods() < LEAST_PERIODS {
             return record.masked.clone();
         }
-        let x = transient::robust(record, Some(&courses.torque(run, record, operating_point)), true);
+        let left = &record.tau - courses.torque(run, record, operating_point);
+        let x = transient::robust(record, &left, true);
         let events = transient::events(&x, record.dt, transient::MIN_ENERGY_DEVIATIONS);
-        record.without(&transient::mask(record, &events, EVENT_MARGIN_S))
+        let mut masked = transient::mask(record, &events.iter().collect::<Vec<_>>(), EVENT_MARGIN_S);
+        masked.iter_mut().zip(&passing[run]).for_each(|(masked, passing)| *masked |= passing);
+        record.without(&masked)
     });
     let mut changed = false;
     for (record, masked) in records.iter_mut().zip(masks) {
@@ -317,21 +288,6 @@ pub fn cleaned(experiments: &mut [Experiment], found: &Changing) {
         if let (Some(own), Some(scatter)) = (&mut experiment.scatter, scatter) {
             *own = Scatter { periods: own.periods, ..scatter.clone() };
         }
-    }
-}
-
-fn transient_of(record: &Record, x: &DMatrix<f64>, event: &transient::Event) -> Transient {
-    let rms = |column: &[f64]| {
-        let own = &column[event.first..event.last];
-        (own.iter().map(|value| value * value).sum::<f64>() / own.len() as f64).sqrt()
-    };
-    Transient {
-        run: record.experiment.name.clone(),
-        from: record.time(event.first),
-        to: record.time(event.last - 1) + record.dt,
-        period: record.repeats.periods[event.first / record.samples],
-        joints: event.joints.clone(),
-        rms: x.as_slice().chunks(x.nrows()).map(rms).collect(),
     }
 }
 

@@ -15,6 +15,8 @@ pub(super) const MAX_PERIODS: usize = 2;
 
 /// Largest energy of the other period at the same time, as a share of the contact's.
 const MAX_AGAIN_RATIO: f64 = 0.25;
+/// Smallest difference of a contact's score to that of what is no contact: what the model lacks is here too.
+const MIN_GAP: f64 = 30.0;
 /// Largest energy of another event, as a share of the contact's.
 const MAX_OTHERS_RATIO: f64 = 0.5;
 
@@ -45,17 +47,16 @@ pub(super) fn contacts(experiment: &Experiment, operating_point: &OperatingPoint
     for event in contact::candidates(&record, x, &[]) {
         let size = energy(event.first, event.last);
         let contact = || contact::contact(operating_point, &record, x, &noise, &event);
-        match (!comes_again(&event)).then(contact).flatten() {
+        match (!comes_again(&event)).then(contact).flatten().filter(|contact| contact.gap >= MIN_GAP) {
             Some(contact) => touched.push((size, event, contact)),
             None => others = others.max(size),
         }
     }
     // Where as much happens that is no contact, the model lacks something.
     touched.retain(|(size, ..)| others < MAX_OTHERS_RATIO * size);
-    let (events, found): (Vec<Event>, Vec<Contact>) =
-        touched.into_iter().map(|(_, event, contact)| (event, contact)).unzip();
+    let events: Vec<&Event> = touched.iter().map(|(_, event, _)| event).collect();
     let spans = left_out(&record, &transient::mask(&record, &events, EVENT_MARGIN_S));
-    (found, spans)
+    (touched.into_iter().map(|(.., contact)| contact).collect(), spans)
 }
 
 /// Torques that rigid bodies and friction leave, without their median, N x n \[Nm\].

@@ -18,6 +18,23 @@ const LASTING_PEAK_RATIO: f64 = 0.03;
 /// Time between two events that are one \[s\].
 const MIN_GAP_S: f64 = 0.5;
 
+/// Something that happened once and is no contact.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Transient {
+    /// Name of the run.
+    pub run: String,
+    /// Begin, since the first sample of the run \[s\].
+    pub from: f64,
+    /// End \[s\].
+    pub to: f64,
+    /// Period that it begins in, from 0.
+    pub period: usize,
+    /// Joints in which it shows, from 0.
+    pub joints: Vec<usize>,
+    /// RMS of the deviation meanwhile, per joint \[Nm\].
+    pub rms: Vec<f64>,
+}
+
 /// Rows of a record in which something happens.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Event {
@@ -29,12 +46,9 @@ pub(super) struct Event {
     pub joints: Vec<usize>,
 }
 
-/// Deviations from the median of the periods, P N x n; what wanders from period to period is taken off by each period's own median.
-pub(super) fn robust(record: &Record, less: Option<&DMatrix<f64>>, level: bool) -> DMatrix<f64> {
-    let mut out = record.tau.clone();
-    if let Some(less) = less {
-        out -= less;
-    }
+/// Deviations of `x`, P N x n, from the median of the periods; what wanders from period to period is taken off by each period's own median.
+pub(super) fn robust(record: &Record, x: &DMatrix<f64>, level: bool) -> DMatrix<f64> {
+    let mut out = x.clone();
     let rows = out.nrows();
     for column in out.as_mut_slice().chunks_mut(rows) {
         let mut x = from_median(column.to_vec(), record.samples);
@@ -45,6 +59,31 @@ pub(super) fn robust(record: &Record, less: Option<&DMatrix<f64>>, level: bool) 
             }
         }
         column.copy_from_slice(&x);
+    }
+    out
+}
+
+/// `x`, P N x n, where in the rows of an event and so long before and after \[s\] the mean of the other periods is taken off, without the rows of other
+/// contacts that are `taken`. The median would be between the rest and the event: off by up to half of the noise, and always to the same side.
+pub(super) fn from_others(
+    record: &Record,
+    x: &DMatrix<f64>,
+    event: &Event,
+    taken: &[bool],
+    margin: f64,
+) -> DMatrix<f64> {
+    let own = mask(record, &[event], margin);
+    let mut out = x.clone();
+    for row in (0..own.len()).filter(|&row| own[row]) {
+        let all = (row % record.samples..own.len()).step_by(record.samples);
+        let others: Vec<usize> =
+            all.filter(|&other| !own[other] && !taken[other] && !record.uncounted[other]).collect();
+        let quiet: Vec<usize> = others.iter().copied().filter(|&other| !record.masked[other]).collect();
+        let rows = if quiet.is_empty() { others } else { quiet };
+        for (joint, column) in x.column_iter().enumerate() {
+            let sum: f64 = rows.iter().map(|&other| column[other]).sum();
+            out[(row, joint)] -= sum / rows.len().max(1) as f64;
+        }
     }
     out
 }
@@ -113,7 +152,7 @@ fn spread_of_positive(energies: &[f64]) -> (f64, f64) {
 }
 
 /// Marks the rows of events, with some on either side \[s\].
-pub(super) fn mask(record: &Record, events: &[Event], margin: f64) -> Vec<bool> {
+pub(super) fn mask(record: &Record, events: &[&Event], margin: f64) -> Vec<bool> {
     let mut masked = vec![false; record.tau.nrows()];
     let margin = (margin / record.dt).round() as usize;
     for event in events {
@@ -121,4 +160,20 @@ pub(super) fn mask(record: &Record, events: &[Event], margin: f64) -> Vec<bool> 
         masked[event.first.saturating_sub(margin)..last].fill(true);
     }
     masked
+}
+
+/// An event and its size in the deviations.
+pub(super) fn transient(record: &Record, x: &DMatrix<f64>, event: &Event) -> Transient {
+    let rms = |column: &[f64]| {
+        let own = &column[event.first..event.last];
+        (own.iter().map(|value| value * value).sum::<f64>() / own.len() as f64).sqrt()
+    };
+    Transient {
+        run: record.experiment.name.clone(),
+        from: record.time(event.first),
+        to: record.time(event.last - 1) + record.dt,
+        period: record.repeats.periods[event.first / record.samples],
+        joints: event.joints.clone(),
+        rms: x.as_slice().chunks(x.nrows()).map(rms).collect(),
+    }
 }

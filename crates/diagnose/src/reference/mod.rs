@@ -15,7 +15,7 @@ pub use extend::extended;
 pub use held::Stored;
 pub use outcome::Comparison;
 
-use super::evidence::{Evidence, Trial};
+use super::evidence::{BAND_EDGES_HZ, Evidence, LOW_BANDS, Trial};
 use super::fit::{Prior, Problem, inverse};
 use super::found::{Found, Step, Watch};
 use super::input::Settings;
@@ -23,7 +23,7 @@ use super::library::{self, Candidate};
 use super::moments::Columns;
 use super::select::{Scored, Search, Selected};
 use super::span::Span;
-use super::state::{State, every, mean_square};
+use super::state::{State, every, mean_square_below};
 use nalgebra::{DMatrix, DVector};
 use plumbline_core::symmetric_eigen;
 use plumbline_model::term::effect::{Family, OperatingPoint, Quantity, Results, Spec};
@@ -119,19 +119,21 @@ pub fn families() -> Vec<&'static Family> {
 /// are in mountings that the model is valid in. Nothing is found when they are too short.
 pub fn changes(reference: &TorqueModel, trials: &[Trial], settings: &Settings, progress: &Watch) -> Changes {
     let evidence = Evidence::of(reference.structure().chain(), trials, settings.band);
-    searched(reference, &evidence, trials, settings, progress)
+    searched(reference, &evidence, trials, BAND_EDGES_HZ.len(), settings, progress)
 }
 
-/// [`changes`] in runs that are unseen by the identification of `reference`; the noise is that of the runs that it was `identified` from.
+/// [`changes`] in runs that are unseen by the identification of `reference`; the noise is that of the runs that it was `identified` from. What is
+/// left over is that below 4 Hz, as in [`super::Disagreement`].
 pub fn in_unseen(reference: &TorqueModel, identified: &[Trial], unseen: &[Trial], settings: &Settings) -> Changes {
     let evidence = Evidence::with_noise_of(reference.structure().chain(), unseen, identified, settings.band);
-    searched(reference, &evidence, unseen, settings, &|_| {})
+    searched(reference, &evidence, unseen, LOW_BANDS, settings, &|_| {})
 }
 
 fn searched(
     reference: &TorqueModel,
     evidence: &Evidence,
     trials: &[Trial],
+    bands: usize,
     settings: &Settings,
     progress: &Watch,
 ) -> Changes {
@@ -146,7 +148,7 @@ fn searched(
     let prior = prior(reference.parameters());
     let problem = Problem { evidence, prior: Some(&prior) };
     let base = State::base(&problem, Columns { m, r });
-    let before = left_over(evidence, &base, &DVector::zeros(beta.len()));
+    let before = left_over(evidence, &base, &DVector::zeros(beta.len()), bands);
     let operating_point = evidence.operating_point(structure, &beta);
     let families = families();
     let mut library = library::library(evidence, &operating_point, &families, Span::ALL, settings.threads);
@@ -158,7 +160,7 @@ fn searched(
     // The stored parameters stay what they are.
     let mut theta = selected.state.fit.theta.clone();
     theta.rows_mut(0, beta.len()).fill(0.0);
-    let after = left_over(evidence, &selected.state, &theta);
+    let after = left_over(evidence, &selected.state, &theta, bands);
     Changes { least, ..report(&search, selected, [before, after], lacking, doubt) }
 }
 
@@ -172,13 +174,13 @@ pub fn between_sessions(structure: &Structure, trials: &[Trial], settings: &Sett
     let columns = Columns { m: evidence.regressor(structure, trials), r: evidence.torques(trials) };
     let problem = Problem { evidence: &evidence, prior: None };
     let base = State::base(&problem, columns);
-    let before = left_over(&evidence, &base, &base.fit.theta);
+    let before = left_over(&evidence, &base, &base.fit.theta, BAND_EDGES_HZ.len());
     let operating_point = evidence.operating_point(structure, base.fit.theta.as_slice());
     let library = since_sessions(&evidence, &operating_point, &families(), settings.threads);
     let search = Search { problem, operating_point: &operating_point, library: &library, settings };
     let (least, lacking) = (least(&search, &base), lack(&evidence, &base));
     let selected = search.select(base, &[], progress);
-    let after = left_over(&evidence, &selected.state, &selected.state.fit.theta);
+    let after = left_over(&evidence, &selected.state, &selected.state.fit.theta, BAND_EDGES_HZ.len());
     Changes { least, ..report(&search, selected, [before, after], lacking, Doubt::default()) }
 }
 
@@ -208,12 +210,12 @@ fn prior(parameters: &[Parameter]) -> Prior {
     }
 }
 
-/// RMS per joint beyond the noise, under given parameters.
-fn left_over(evidence: &Evidence, state: &State, theta: &DVector<f64>) -> Vec<f64> {
+/// RMS per joint beyond the noise in the lowest `bands` of [`BAND_EDGES_HZ`], under given parameters.
+fn left_over(evidence: &Evidence, state: &State, theta: &DVector<f64>, bands: usize) -> Vec<f64> {
     let beyond = |joint: usize| {
         let rest = &state.columns.r[joint] - &state.columns.m[joint] * theta;
-        let floor = evidence.floor(joint).unwrap_or(0.0);
-        (mean_square(evidence, joint, &rest) - floor * floor).max(0.0).sqrt()
+        let floor = evidence.floor_below(joint, bands).unwrap_or(0.0);
+        (mean_square_below(evidence, joint, &rest, bands) - floor * floor).max(0.0).sqrt()
     };
     (0..evidence.joints()).map(beyond).collect()
 }

@@ -28,7 +28,7 @@ fn errors_of_the_parameters_cause_the_mean_of_m_c_m_over_the_rows() {
             let rows = columns.m[joint].row_iter().zip(sigma);
             let sum: f64 = rows.map(|(m, sigma)| (m * &covariance * m.transpose())[0] * sigma * sigma).sum();
             let expected = sum / unseen.evidence.samples();
-            let found = unseen.variance(joint, &covariance);
+            let found = unseen.variance(joint, &covariance, BAND_EDGES_HZ.len());
             assert!(expected > 1e-6 && (found / expected - 1.0).abs() < 1e-9, "{found} {expected}");
         }
     });

@@ -98,6 +98,24 @@ fn a_run_that_differs_from_the_identified_ones_is_never_nothing_significant() {
 }
 
 #[test]
+fn noise_of_coarse_encoders_hides_no_unseen_run_that_differs() {
+    let scene = Scene::panda_on_the_wall();
+    // Steps of 16 bits: above 4 Hz they are most of the noise.
+    let step = std::f64::consts::TAU / 65536.0;
+    for offset in [0.0, 0.06] {
+        let outcome = diagnosed(&scene, 2, |index, run| {
+            run.q.apply(|q| *q = (*q / step).round() * step);
+            if index == 2 {
+                run.tau.column_mut(1).add_scalar_mut(offset);
+            }
+        });
+        let of_offset: Vec<usize> = outcome.diagnosis.disagreements.iter().map(|one| one.joint).collect();
+        println!("{:?}", outcome.diagnosis.disagreements);
+        assert_eq!(of_offset, if offset > 0.0 { vec![2] } else { vec![] }, "{:?}", outcome.diagnosis.disagreements);
+    }
+}
+
+#[test]
 fn what_changed_in_an_unseen_run_of_two_periods_is_named() {
     let scene = Scene::panda_on_the_wall();
     let Outcome { after, .. } = diagnosed(&scene, 2, |_, _| {});

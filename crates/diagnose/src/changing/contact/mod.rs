@@ -11,6 +11,7 @@ mod course;
 use super::base_motion::gravity_columns;
 use super::record::{Record, spread};
 use super::transient::{self, Event};
+use crate::select::MAX_RIVAL_SCORE_GAP;
 use course::{Course, SETTLED_RATIO, Torques};
 use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 use plumbline_model::term::effect::OperatingPoint;
@@ -26,11 +27,9 @@ const BLOCK_S: f64 = 0.05;
 /// Median deviations from the median energy that make a second stand out as what may be a contact.
 const MIN_ENERGY_DEVIATIONS: f64 = 10.0;
 /// Time before and after the event that is fitted too \[s\].
-const MARGIN_S: f64 = 0.15;
+pub(super) const MARGIN_S: f64 = 0.15;
 /// Smallest share of an event's energy that a contact explains.
 const MIN_EXPLAINED_RATIO: f64 = 0.9;
-/// Smallest difference to the score of what is no contact.
-const MIN_GAP: f64 = 30.0;
 /// So many deviations of the noise's squares are not counted as unexplained.
 const NOISE_DEVIATIONS: f64 = 2.0;
 /// Explanations that differ by less are as good.
@@ -137,7 +136,7 @@ pub(super) struct Noise<'a> {
     pub record: &'a Record<'a>,
     /// Deviations of all periods, P N x n \[Nm\].
     pub rest: &'a DMatrix<f64>,
-    /// Noise of one period over that of its deviation from the mean, which has a part of it.
+    /// Noise of a period's deviation from the mean of the others over that from the mean of all.
     pub ratio: f64,
 }
 
@@ -146,7 +145,8 @@ impl Noise<'_> {
     fn of_mean(&self, rows: usize) -> Vec<f64> {
         let means = means(self.rest, rows);
         let scale = |(joint, means): (usize, &[f64])| {
-            let hidden = |block: usize| (block * rows..(block + 1) * rows).any(|row| self.record.hides(row, joint));
+            let out = |row: usize| self.record.masked[row] || self.record.hides(row, joint);
+            let hidden = |block: usize| (block * rows..(block + 1) * rows).any(out);
             let counted = means.iter().enumerate().filter(|(block, _)| !hidden(*block));
             (1.4826 * spread(&counted.map(|(_, mean)| *mean).collect::<Vec<_>>()).1 * self.ratio).max(1e-9)
         };
@@ -182,7 +182,7 @@ pub(super) fn visible(record: &Record, x: &DMatrix<f64>) -> DMatrix<f64> {
     DMatrix::from_fn(x.nrows(), x.ncols(), shown)
 }
 
-/// The contact that explains an event; `None` when none does. `x` are [`visible`] deviations.
+/// The contact that explains an event; `None` when none does. `x` are deviations from what the torques would be without it.
 pub(super) fn contact(
     operating_point: &OperatingPoint,
     record: &Record,
@@ -207,7 +207,7 @@ pub(super) fn contact(
     let rivals = data.rivals(record, &gravity_columns(record, &operating_point.load));
     let beats = |one: Fitted| {
         let gap = data.gap(&rivals, &one);
-        (gap >= MIN_GAP).then_some((one, gap))
+        (gap >= MAX_RIVAL_SCORE_GAP).then_some((one, gap))
     };
     let (one, gap) = tried.into_iter().find_map(beats)?;
     data.report(record, event, &one, gap)
@@ -234,7 +234,7 @@ impl Data<'_> {
         let scale: Vec<f64> = of_long.zip(&of_block).map(|(long, block)| f64::max(long, *block)).collect();
         let share = |(of_block, scale): (&f64, &f64)| (of_block / scale).powi(2);
         let visible = DMatrix::from_fn(begins.len(), chain.len(), |k, j| {
-            x.view((begins[k], j), (length, 1)).iter().all(|value| *value != 0.0)
+            !(begins[k]..begins[k] + length).any(|row| record.hides(row, j))
         });
         let shares = of_block.iter().zip(&scale).map(share).zip(visible.column_iter());
         let independent: f64 = shares.map(|(share, own)| share * own.iter().filter(|own| **own).count() as f64).sum();
@@ -269,6 +269,11 @@ impl Data<'_> {
     /// What may act on a link.
     fn tried(&self, link: usize) -> Vec<Fitted> {
         let wrench = self.fit(link, Act::Wrench);
+        // A force leaves no less than a wrench, and has at least as many parameters as one that keeps its direction.
+        let limit = wrench.as_ref().map_or(1.0, |wrench| self.explained(wrench.course.rss, self.of_push()));
+        if limit < MIN_EXPLAINED_RATIO {
+            return Vec::new();
+        }
         // Taking turns creeps, and a good start saves most of it: the frame's origin, or where the moments of a full wrench say.
         let mut starts = vec![Vector3::zeros()];
         starts.extend(wrench.as_ref().and_then(|wrench| self.lever(wrench)));
@@ -300,16 +305,25 @@ impl Data<'_> {
         let knots = self.torques.knots as f64;
         let of_free = free.width.min(link + 1) as f64 * knots;
         let (course, parameters) = match act {
-            Act::Push(_) => (self.torques.fit_direction(&columns, &free)?, knots + 5.0),
+            Act::Push(_) => (self.torques.fit_direction(&columns, &free)?, self.of_push()),
             Act::Force(_) => (free, of_free + 3.0),
             Act::Wrench => (free, of_free),
         };
+        let explained = self.explained(course.rss, parameters);
+        Some(Fitted { link, act, course, parameters, explained })
+    }
+
+    /// Number of parameters of a force that keeps its direction: its sizes, that direction and the point.
+    fn of_push(&self) -> f64 {
+        self.torques.knots as f64 + 5.0
+    }
+
+    /// Share of the event's energy that is explained where this sum of squares is left, beyond the noise.
+    fn explained(&self, rss: f64, parameters: f64) -> f64 {
         let before = self.torques.tau.norm_squared() - self.independent;
         // As much less as the noise may be more.
         let noise = (self.independent - parameters).max(0.0) + NOISE_DEVIATIONS * (2.0 * self.independent).sqrt();
-        let after = course.rss - noise;
-        let explained = if before <= 0.0 { 0.0 } else { (1.0 - after.max(0.0) / before).clamp(0.0, 1.0) };
-        Some(Fitted { link, act, course, parameters, explained })
+        if before <= 0.0 { 0.0 } else { (1.0 - (rss - noise).max(0.0) / before).clamp(0.0, 1.0) }
     }
 
     /// Torques of all joints, over their noise, for the components of what acts: blocks x width each.

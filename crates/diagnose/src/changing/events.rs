@@ -1,0 +1,97 @@
+//! What happens in one period of a run and not in the others: contacts and what is none.
+
+use super::LEAST_PERIODS;
+use super::contact::{self, Contact, MARGIN_S, Noise};
+use super::once::MAX_PERIODS;
+use super::record::Record;
+use super::transient::{self, Event, Transient};
+use nalgebra::DMatrix;
+use plumbline_model::term::effect::OperatingPoint;
+
+/// A contact that lasts longer may have come to stay \[s\].
+const MAX_PASSING_S: f64 = 5.0;
+
+/// Events of one run.
+#[derive(Default)]
+pub(super) struct Events {
+    /// Contacts, and where they were sought.
+    pub contacts: Vec<(Event, Contact)>,
+    /// Events that are no contacts.
+    pub others: Vec<Transient>,
+    /// Where these are.
+    places: Vec<Event>,
+}
+
+impl Events {
+    /// Events of a run with at least three periods, in what is `left` of its torques, P N x n \[Nm\]; `level` as in [`transient::robust`].
+    pub fn of(record: &Record, operating_point: &OperatingPoint, left: &DMatrix<f64>, level: bool) -> Self {
+        let mut found = Events::default();
+        if record.periods() <= MAX_PERIODS {
+            return found;
+        }
+        let x = transient::robust(record, left, level);
+        let mut rest = left.clone();
+        let rows = rest.nrows();
+        rest.as_mut_slice().chunks_mut(rows).for_each(|column| record.centre(column));
+        let periods = record.periods() as f64;
+        let noise = Noise { record, rest: &rest, ratio: periods / (periods - 1.0) };
+        // Two periods have no majority.
+        let counted = |row: usize| {
+            (row % record.samples..x.nrows()).step_by(record.samples).filter(|&row| !record.uncounted[row]).count()
+        };
+        let majority = |event: &Event| (event.first..event.last).all(|row| counted(row) > MAX_PERIODS);
+        let strong = match record.periods() < LEAST_PERIODS {
+            true => Vec::new(),
+            false => transient::events(&x, record.dt, transient::MIN_ENERGY_DEVIATIONS),
+        };
+        let weak = contact::candidates(record, &contact::visible(record, &x), &strong);
+        let scale = transient::scales(&x);
+        let energy = |event: &Event| {
+            let of_row = |row: usize| (0..record.joints()).map(|j| (x[(row, j)] / scale[j]).powi(2)).sum::<f64>();
+            (event.first..event.last).map(of_row).sum::<f64>()
+        };
+        let mut events: Vec<(f64, bool, Event)> =
+            strong.into_iter().map(|event| (energy(&event), true, event)).collect();
+        events.extend(weak.into_iter().map(|event| (energy(&event), false, event)));
+        // The strongest first: without its rows the other periods at the same place have nothing of it.
+        events.sort_by(|a, b| b.0.total_cmp(&a.0));
+        let mut taken = vec![false; x.nrows()];
+        for (_, strong, event) in events {
+            let of_event = || transient::from_others(record, left, &event, &taken, MARGIN_S);
+            let touched =
+                majority(&event).then(|| contact::contact(operating_point, record, &of_event(), &noise, &event));
+            match touched.flatten() {
+                Some(contact) => {
+                    let own = transient::mask(record, &[&event], MARGIN_S);
+                    taken.iter_mut().zip(own).for_each(|(taken, own)| *taken |= own);
+                    found.contacts.push((event, contact));
+                }
+                None if strong => {
+                    found.others.push(transient::transient(record, &x, &event));
+                    found.places.push(event);
+                }
+                None => {}
+            }
+        }
+        found
+    }
+
+    /// Rows of all events.
+    pub fn mask(&self, record: &Record, margin: f64) -> Vec<bool> {
+        let events: Vec<&Event> = self.contacts.iter().map(|(event, _)| event).chain(&self.places).collect();
+        transient::mask(record, &events, margin)
+    }
+}
+
+/// Rows of contacts that are over before their run is, so that they can't be the begin of something that stays.
+pub(super) fn passing(record: &Record, operating_point: &OperatingPoint, margin: f64) -> Vec<bool> {
+    let found = Events::of(record, operating_point, &record.tau, true);
+    let rows = record.tau.nrows();
+    let room = (2.0 * margin / record.dt).round() as usize;
+    let passes = |event: &&Event| {
+        let seconds = (event.last - event.first) as f64 * record.dt;
+        event.first > room && event.last + room < rows && seconds < MAX_PASSING_S
+    };
+    let events: Vec<&Event> = found.contacts.iter().map(|(event, _)| event).filter(passes).collect();
+    transient::mask(record, &events, margin)
+}
