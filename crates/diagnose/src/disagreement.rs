@@ -3,7 +3,7 @@
 //! One model for all runs is an assumption. A tool that was picked up, a base that was tilted or a sensor that was zeroed between two runs breaks
 //! it, and the runs that were identified from cannot show that.
 
-use super::evidence::{Evidence, LOW_BANDS, Trial};
+use super::evidence::{Evidence, Trial};
 use super::outcome::{Disagreement, Fitted};
 use super::state::mean_square_below;
 use super::unseen::Unseen;
@@ -34,9 +34,9 @@ pub struct Disagreements {
 ///
 ///   E = sqrt(noise^2 + lack^2 + 1.5^2 mean_k(m_k' C m_k))
 ///
-/// below 4 Hz, where the errors of models lie: encoders make noise that grows with the frequency and would hide them. `m_k` is the row of sample k and
-/// `C` the covariance of the parameters: the noise is an average over many samples, but all samples share the errors of
-/// the parameters, which are often larger than their standard deviation. `identified` are the runs that `fitted` was identified from, in `evidence`.
+/// in the lowest `bands`. `m_k` is the row of sample k and `C` the covariance of the parameters: the noise is an average over many samples, but all
+/// samples share the errors of the parameters, which are often larger than their standard deviation. `identified` are the runs that `fitted` was
+/// identified from, in `evidence`.
 pub fn disagreements(
     chain: &Chain,
     evidence: &Evidence,
@@ -44,15 +44,16 @@ pub fn disagreements(
     unseen: &[Trial],
     fitted: &Fitted,
     band: f64,
+    bands: usize,
 ) -> Disagreements {
     let beta = DVector::from_column_slice(&fitted.identification.beta);
     let own = Unseen::of_model(evidence, fitted, identified);
     let lack = |joint: usize| {
-        let square = mean_square_below(evidence, joint, &own.residual(joint, &beta), LOW_BANDS);
-        (square - evidence.floor_below(joint, LOW_BANDS).map_or(0.0, |floor| floor * floor)).max(0.0)
+        let square = mean_square_below(evidence, joint, &own.residual(joint, &beta), bands);
+        (square - evidence.floor_below(joint, bands).map_or(0.0, |floor| floor * floor)).max(0.0)
     };
     let lacks: Vec<f64> = (0..evidence.joints()).map(lack).collect();
-    let of_period = |joint: usize| evidence.floor_of_a_period_below(joint, LOW_BANDS).unwrap_or(0.0).powi(2);
+    let of_period = |joint: usize| evidence.floor_of_a_period_below(joint, bands).unwrap_or(0.0).powi(2);
     let noise: Vec<f64> = (0..evidence.joints()).map(of_period).collect();
     let mut found = Disagreements { different: Vec::new(), undetermined: Vec::new() };
     for trial in unseen {
@@ -64,8 +65,8 @@ pub fn disagreements(
         let model = Unseen::of_model(&of_run, fitted, trials);
         let periods = trial.experiment.averaged_periods() as f64;
         let joint = |deviations: f64, joint: usize| {
-            let square = mean_square_below(&of_run, joint, &model.residual(joint, &beta), LOW_BANDS);
-            let parameters = model.variance(joint, &fitted.identification.covariance, LOW_BANDS);
+            let square = mean_square_below(&of_run, joint, &model.residual(joint, &beta), bands);
+            let parameters = model.variance(joint, &fitted.identification.covariance, bands);
             let expected = noise[joint] / periods + lacks[joint] + deviations * deviations * parameters;
             Disagreement {
                 run: trial.experiment.name.clone(),

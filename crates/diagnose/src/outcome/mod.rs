@@ -246,7 +246,7 @@ pub struct Disagreement {
     pub run: String,
     /// The worst joint, from 1.
     pub joint: usize,
-    /// RMS of the residual of its mean period there, below 4 Hz \[Nm\].
+    /// RMS of the residual of its mean period there: of a model without effects below 4 Hz, with effects in the band of the search \[Nm\].
     pub rms: f64,
     /// The RMS to expect from the noise, the residual of the identified runs and the errors of the parameters \[Nm\].
     pub expected: f64,

@@ -123,7 +123,7 @@ pub fn changes(reference: &TorqueModel, trials: &[Trial], settings: &Settings, p
 }
 
 /// [`changes`] in runs that are unseen by the identification of `reference`; the noise is that of the runs that it was `identified` from. What is
-/// left over is that below 4 Hz, as in [`super::Disagreement`].
+/// left over is that below 4 Hz.
 pub fn in_unseen(reference: &TorqueModel, identified: &[Trial], unseen: &[Trial], settings: &Settings) -> Changes {
     let evidence = Evidence::with_noise_of(reference.structure().chain(), unseen, identified, settings.band);
     searched(reference, &evidence, unseen, LOW_BANDS, settings, &|_| {})
