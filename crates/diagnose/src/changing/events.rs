@@ -46,10 +46,7 @@ impl Events {
         };
         let weak = contact::candidates(record, &contact::visible(record, &x), &strong);
         let scale = transient::scales(&x);
-        let energy = |event: &Event| {
-            let of_row = |row: usize| (0..record.joints()).map(|j| (x[(row, j)] / scale[j]).powi(2)).sum::<f64>();
-            (event.first..event.last).map(of_row).sum::<f64>()
-        };
+        let energy = |event: &Event| transient::energy(&x, &scale, event.first..event.last);
         let mut events: Vec<(f64, bool, Event)> =
             strong.into_iter().map(|event| (energy(&event), true, event)).collect();
         events.extend(weak.into_iter().map(|event| (energy(&event), false, event)));

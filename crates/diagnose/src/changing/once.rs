@@ -33,10 +33,7 @@ pub(super) fn contacts(experiment: &Experiment, operating_point: &OperatingPoint
     let x = &contact::visible(&record, &record.tau);
     let noise = Noise { record: &record, rest: &record.tau, ratio: 1.0 };
     let scale = transient::scales(x);
-    let energy = |first: usize, last: usize| {
-        let of_row = |row: usize| (0..record.joints()).map(|j| (x[(row, j)] / scale[j]).powi(2)).sum::<f64>();
-        (first..last).map(of_row).sum::<f64>()
-    };
+    let energy = |first: usize, last: usize| transient::energy(x, &scale, first..last);
     // What comes again in the other period is what the model lacks.
     let comes_again = |event: &Event| {
         let rows = x.nrows();

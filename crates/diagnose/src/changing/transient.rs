@@ -4,6 +4,7 @@
 
 use super::record::{Record, from_median, spread, stretches};
 use nalgebra::DMatrix;
+use std::ops::Range;
 
 /// Length of a window \[s\]; windows overlap by half.
 const WINDOW_S: f64 = 1.0;
@@ -92,6 +93,12 @@ pub(super) fn from_others(
 pub(super) fn scales(x: &DMatrix<f64>) -> Vec<f64> {
     let scale = |column: &[f64]| (1.4826 * spread(column).1).max(1e-9);
     x.as_slice().chunks(x.nrows()).map(scale).collect()
+}
+
+/// Sum of the squares of deviations in some rows, in units of each joint's [`scales`].
+pub(super) fn energy(x: &DMatrix<f64>, scale: &[f64], rows: Range<usize>) -> f64 {
+    let of_row = |row: usize| scale.iter().enumerate().map(|(j, scale)| (x[(row, j)] / scale).powi(2)).sum::<f64>();
+    rows.map(of_row).sum()
 }
 
 /// Events in deviations as [`robust`] gives them, every `dt` \[s\]: windows whose energy is so many median deviations above the median. Rows are
