@@ -131,12 +131,11 @@ fn an_arm_without_a_model_is_stopped() {
     let why = status.stopped.unwrap();
     assert!(why.contains("no model within 2 s (safety.model-timeout)"), "{why}");
     // Simulated time does not run on at full speed.
-    let cycles = || place.status().map(|now| now.cycles);
     let mut last = None;
     wait_for("the end of simulated time", || {
         std::thread::sleep(Duration::from_millis(100));
-        let now = cycles();
-        (std::mem::replace(&mut last, now) == now).then_some(())
+        let now = place.status()?.cycles;
+        (last.replace(now) == Some(now)).then_some(())
     });
     let done = place.quit(daemon);
     assert!(done.err.contains("the arm is being stopped: the estimator gave no model"), "{}", done.output());

@@ -5,7 +5,7 @@
 
 use super::evidence::{Evidence, Trial};
 use super::outcome::{Disagreement, Fitted};
-use super::state::mean_square_below;
+use super::state::{mean_square_below, unmodelled_below};
 use super::unseen::Unseen;
 use nalgebra::DVector;
 use plumbline_model::Chain;
@@ -19,6 +19,7 @@ impl Disagreement {
         rms <= MIN_RMS_RATIO * self.expected
     }
 }
+
 /// Errors of the parameters to expect, in their standard deviations.
 const PARAMETER_DEVIATIONS: f64 = 1.5;
 
@@ -48,10 +49,7 @@ pub fn disagreements(
 ) -> Disagreements {
     let beta = DVector::from_column_slice(&fitted.identification.beta);
     let own = Unseen::of_model(evidence, fitted, identified);
-    let lack = |joint: usize| {
-        let square = mean_square_below(evidence, joint, &own.residual(joint, &beta), bands);
-        (square - evidence.floor_below(joint, bands).map_or(0.0, |floor| floor * floor)).max(0.0)
-    };
+    let lack = |joint: usize| unmodelled_below(evidence, joint, &own.residual(joint, &beta), bands);
     let lacks: Vec<f64> = (0..evidence.joints()).map(lack).collect();
     let of_period = |joint: usize| evidence.floor_of_a_period_below(joint, bands).unwrap_or(0.0).powi(2);
     let noise: Vec<f64> = (0..evidence.joints()).map(of_period).collect();

@@ -86,8 +86,7 @@ impl State {
 
     /// Mean square of what repeats and the model lacks, per joint \[Nm2\]: the noise is taken off where it is known.
     pub fn unmodelled(&self, evidence: &Evidence, joint: usize) -> f64 {
-        let floor = evidence.floor(joint).unwrap_or(0.0);
-        (self.mean_square(evidence, joint) - floor * floor).max(0.0)
+        unmodelled_below(evidence, joint, &self.residual(joint), BAND_EDGES_HZ.len())
     }
 }
 
@@ -101,6 +100,12 @@ pub fn mean_square_below(evidence: &Evidence, joint: usize, rows: &DVector<f64>,
     let sigma = evidence.sigma(joint);
     let square = |row: usize| (rows[row] * sigma[row]).powi(2);
     evidence.rows_below(joint, bands).map(square).sum::<f64>() / evidence.samples()
+}
+
+/// Mean square of a residual beyond the noise, where that is known, in the lowest `bands` \[Nm2\].
+pub fn unmodelled_below(evidence: &Evidence, joint: usize, rows: &DVector<f64>, bands: usize) -> f64 {
+    let floor = evidence.floor_below(joint, bands).unwrap_or(0.0);
+    (mean_square_below(evidence, joint, rows, bands) - floor * floor).max(0.0)
 }
 
 /// A candidate tried in a state. The sums of both, tens of megabytes where a motion has many folds, are [`Tried::moments`].

@@ -333,6 +333,7 @@ impl Session {
             }
             match event {
                 Event::Stopped => {
+                    // Nothing is left to go on for when a model comes.
                     self.parked = None;
                     self.shut_gate();
                 }

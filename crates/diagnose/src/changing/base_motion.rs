@@ -267,8 +267,7 @@ fn waves(record: &Record, columns: &DMatrix<f64>, frequency: f64) -> DMatrix<f64
             (x[(row, c)], x[(row, 3 + c)]) = (column * cos, column * sin);
         }
     }
-    x.as_mut_slice().chunks_mut(rows).for_each(|column| record.centre(column));
-    x
+    record.centred_all(x)
 }
 
 fn torque(record: &Record, gravity: &[DMatrix<f64>], line: &BaseMotion) -> DMatrix<f64> {

@@ -3,7 +3,7 @@
 use super::LEAST_PERIODS;
 use super::contact::{self, Contact, MARGIN_S, Noise};
 use super::once::MAX_PERIODS;
-use super::record::Record;
+use super::record::{Record, either};
 use super::transient::{self, Event, Transient};
 use nalgebra::DMatrix;
 use plumbline_model::term::effect::OperatingPoint;
@@ -17,22 +17,14 @@ pub(super) struct Events {
     /// Contacts, and where they were sought.
     pub contacts: Vec<(Event, Contact)>,
     /// Events that are no contacts.
-    pub others: Vec<Transient>,
-    /// Where these are.
-    places: Vec<Event>,
+    pub others: Vec<(Event, Transient)>,
 }
 
 impl Events {
     /// Events of a run with at least three periods, in what is `left` of its torques, P N x n \[Nm\]; `level` as in [`transient::robust`].
     pub fn of(record: &Record, operating_point: &OperatingPoint, left: &DMatrix<f64>, level: bool) -> Self {
-        let mut found = Events::default();
-        if record.periods() <= MAX_PERIODS {
-            return found;
-        }
         let x = transient::robust(record, left, level);
-        let mut rest = left.clone();
-        let rows = rest.nrows();
-        rest.as_mut_slice().chunks_mut(rows).for_each(|column| record.centre(column));
+        let rest = record.centred_all(left.clone());
         let periods = record.periods() as f64;
         let noise = Noise { record, rest: &rest, ratio: periods / (periods - 1.0) };
         // Two periods have no majority.
@@ -52,20 +44,19 @@ impl Events {
         events.extend(weak.into_iter().map(|event| (energy(&event), false, event)));
         // The strongest first: without its rows the other periods at the same place have nothing of it.
         events.sort_by(|a, b| b.0.total_cmp(&a.0));
-        let mut taken = vec![false; x.nrows()];
+        let (mut found, mut taken) = (Events::default(), vec![false; x.nrows()]);
         for (_, strong, event) in events {
             let of_event = || transient::from_others(record, left, &event, &taken, MARGIN_S);
             let touched =
                 majority(&event).then(|| contact::contact(operating_point, record, &of_event(), &noise, &event));
             match touched.flatten() {
                 Some(contact) => {
-                    let own = transient::mask(record, &[&event], MARGIN_S);
-                    taken.iter_mut().zip(own).for_each(|(taken, own)| *taken |= own);
+                    taken = either(&taken, &transient::mask(record, [&event], MARGIN_S));
                     found.contacts.push((event, contact));
                 }
                 None if strong => {
-                    found.others.push(transient::transient(record, &x, &event));
-                    found.places.push(event);
+                    let transient = transient::transient(record, &x, &event);
+                    found.others.push((event, transient));
                 }
                 None => {}
             }
@@ -75,20 +66,22 @@ impl Events {
 
     /// Rows of all events.
     pub fn mask(&self, record: &Record, margin: f64) -> Vec<bool> {
-        let events: Vec<&Event> = self.contacts.iter().map(|(event, _)| event).chain(&self.places).collect();
-        transient::mask(record, &events, margin)
+        let others = self.others.iter().map(|(event, _)| event);
+        transient::mask(record, self.contacts.iter().map(|(event, _)| event).chain(others), margin)
     }
 }
 
 /// Rows of contacts that are over before their run is, so that they can't be the begin of something that stays.
 pub(super) fn passing(record: &Record, operating_point: &OperatingPoint, margin: f64) -> Vec<bool> {
-    let found = Events::of(record, operating_point, &record.tau, true);
     let rows = record.tau.nrows();
+    if record.periods() <= MAX_PERIODS {
+        return vec![false; rows];
+    }
+    let found = Events::of(record, operating_point, &record.tau, true);
     let room = (2.0 * margin / record.dt).round() as usize;
     let passes = |event: &&Event| {
         let seconds = (event.last - event.first) as f64 * record.dt;
         event.first > room && event.last + room < rows && seconds < MAX_PASSING_S
     };
-    let events: Vec<&Event> = found.contacts.iter().map(|(event, _)| event).filter(passes).collect();
-    transient::mask(record, &events, margin)
+    transient::mask(record, found.contacts.iter().map(|(event, _)| event).filter(passes), margin)
 }

@@ -116,10 +116,7 @@ pub fn changing(operating_point: &OperatingPoint, trials: &[Trial]) -> Changing 
     }
     // A contact would be taken for steps of friction and offset.
     let passing = parallel(&records, threads(), |record| events::passing(record, operating_point, EVENT_MARGIN_S));
-    for (record, passing) in records.iter_mut().zip(&passing) {
-        let masked = record.masked.iter().zip(passing).map(|(masked, passing)| *masked || *passing).collect();
-        record.mask(masked);
-    }
+    records.iter_mut().zip(&passing).for_each(|(record, passing)| record.mask_more(passing));
     let mut courses = Deviations::of(&records, operating_point).courses();
     // What was fitted to an event goes where the event is masked, and what else an unknown course made an event comes back.
     for _ in 0..MAX_ROUNDS {
@@ -133,10 +130,7 @@ pub fn changing(operating_point: &OperatingPoint, trials: &[Trial]) -> Changing 
     let mut masks = Vec::new();
     for (record, course) in records.iter().zip(&torques) {
         let left = &record.tau - course;
-        let mut rest = left.clone();
-        let rows = rest.nrows();
-        rest.as_mut_slice().chunks_mut(rows).for_each(|column| record.centre(column));
-        let lines = base_motion::base_motions(record, &operating_point.load, &rest);
+        let lines = base_motion::base_motions(record, &operating_point.load, &record.centred_all(left.clone()));
         let left = left - base_motion::torques(record, &operating_point.load, &lines);
         found.base_motions.extend(lines);
         if record.periods() <= once::MAX_PERIODS {
@@ -146,7 +140,7 @@ pub fn changing(operating_point: &OperatingPoint, trials: &[Trial]) -> Changing 
         let events = Events::of(record, operating_point, &left, false);
         let masked = events.mask(record, EVENT_MARGIN_S);
         found.contacts.extend(events.contacts.into_iter().map(|(_, contact)| contact));
-        found.transients.extend(events.others);
+        found.transients.extend(events.others.into_iter().map(|(_, transient)| transient));
         found.leave_out.extend(left_out(record, &masked));
         masks.push(masked);
     }
@@ -221,9 +215,7 @@ fn mask(records: &mut [Record], passing: &[Vec<bool>], operating_point: &Operati
         let left = &record.tau - courses.torque(run, record, operating_point);
         let x = transient::robust(record, &left, true);
         let events = transient::events(&x, record.dt, transient::MIN_ENERGY_DEVIATIONS);
-        let mut masked = transient::mask(record, &events.iter().collect::<Vec<_>>(), EVENT_MARGIN_S);
-        masked.iter_mut().zip(&passing[run]).for_each(|(masked, passing)| *masked |= passing);
-        record.without(&masked)
+        record.without(&record::either(&transient::mask(record, &events, EVENT_MARGIN_S), &passing[run]))
     });
     let mut changed = false;
     for (record, masked) in records.iter_mut().zip(masks) {

@@ -51,8 +51,8 @@ pub(super) fn contacts(experiment: &Experiment, operating_point: &OperatingPoint
     }
     // Where as much happens that is no contact, the model lacks something.
     touched.retain(|(size, ..)| others < MAX_OTHERS_RATIO * size);
-    let events: Vec<&Event> = touched.iter().map(|(_, event, _)| event).collect();
-    let spans = left_out(&record, &transient::mask(&record, &events, EVENT_MARGIN_S));
+    let events = touched.iter().map(|(_, event, _)| event);
+    let spans = left_out(&record, &transient::mask(&record, events, EVENT_MARGIN_S));
     (touched.into_iter().map(|(.., contact)| contact).collect(), spans)
 }
 

@@ -124,8 +124,12 @@ impl Record<'_> {
     /// Lets the samples in these stretches of the run not count.
     pub fn mask_spans(&mut self, spans: &[ExcludedSpan]) {
         let out = |row: usize| spans.iter().any(|span| (span.from..span.to).contains(&self.time(row)));
-        let masked = (0..self.masked.len()).map(|row| self.masked[row] || out(row)).collect();
-        self.mask(masked);
+        self.mask_more(&(0..self.masked.len()).map(out).collect::<Vec<_>>());
+    }
+
+    /// Lets these samples not count beside those that don't already.
+    pub fn mask_more(&mut self, more: &[bool]) {
+        self.mask(either(&self.masked, more));
     }
 
     /// Coefficients of a joint's signal up to a frequency, of the cosines over the whole run, which has no step where a period ends. The signal fades out
@@ -157,7 +161,7 @@ impl Record<'_> {
 
     /// Samples that are not in the mean or in one of these events.
     pub fn without(&self, events: &[bool]) -> Vec<bool> {
-        self.uncounted.iter().zip(events).map(|(uncounted, event)| *uncounted || *event).collect()
+        either(&self.uncounted, events)
     }
 
     /// Takes the mean over the periods off a signal, P N, without what is masked; that becomes zero.
@@ -171,12 +175,24 @@ impl Record<'_> {
         }
     }
 
+    /// [`Record::centre`] of every joint, P N x n.
+    pub fn centred_all(&self, mut x: DMatrix<f64>) -> DMatrix<f64> {
+        let rows = x.nrows();
+        x.as_mut_slice().chunks_mut(rows).for_each(|column| self.centre(column));
+        x
+    }
+
     /// Deviations of one joint as [`Record::centre`] leaves them.
     pub fn centred(&self, joint: usize) -> Vec<f64> {
         let mut x = self.tau.column(joint).iter().copied().collect::<Vec<f64>>();
         self.centre(&mut x);
         x
     }
+}
+
+/// Samples that are in one of the two masks.
+pub(super) fn either(one: &[bool], other: &[bool]) -> Vec<bool> {
+    one.iter().zip(other).map(|(one, other)| *one || *other).collect()
 }
 
 /// Samples at which each joint stands, N for each joint; turning points are shorter.

@@ -73,7 +73,7 @@ pub(super) fn from_others(
     taken: &[bool],
     margin: f64,
 ) -> DMatrix<f64> {
-    let own = mask(record, &[event], margin);
+    let own = mask(record, [event], margin);
     let mut out = x.clone();
     for row in (0..own.len()).filter(|&row| own[row]) {
         let all = (row % record.samples..own.len()).step_by(record.samples);
@@ -159,7 +159,7 @@ fn spread_of_positive(energies: &[f64]) -> (f64, f64) {
 }
 
 /// Marks the rows of events, with some on either side \[s\].
-pub(super) fn mask(record: &Record, events: &[&Event], margin: f64) -> Vec<bool> {
+pub(super) fn mask<'e>(record: &Record, events: impl IntoIterator<Item = &'e Event>, margin: f64) -> Vec<bool> {
     let mut masked = vec![false; record.tau.nrows()];
     let margin = (margin / record.dt).round() as usize;
     for event in events {

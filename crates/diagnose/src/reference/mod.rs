@@ -23,7 +23,7 @@ use super::library::{self, Candidate};
 use super::moments::Columns;
 use super::select::{Scored, Search, Selected};
 use super::span::Span;
-use super::state::{State, every, mean_square_below};
+use super::state::{State, every, unmodelled_below};
 use nalgebra::{DMatrix, DVector};
 use plumbline_core::symmetric_eigen;
 use plumbline_model::term::effect::{Family, OperatingPoint, Quantity, Results, Spec};
@@ -214,8 +214,7 @@ fn prior(parameters: &[Parameter]) -> Prior {
 fn left_over(evidence: &Evidence, state: &State, theta: &DVector<f64>, bands: usize) -> Vec<f64> {
     let beyond = |joint: usize| {
         let rest = &state.columns.r[joint] - &state.columns.m[joint] * theta;
-        let floor = evidence.floor_below(joint, bands).unwrap_or(0.0);
-        (mean_square_below(evidence, joint, &rest, bands) - floor * floor).max(0.0).sqrt()
+        unmodelled_below(evidence, joint, &rest, bands).sqrt()
     };
     (0..evidence.joints()).map(beyond).collect()
 }

@@ -7,9 +7,12 @@
 //! Source: Haddadin, De Luca and Albu-Schaeffer, Robot collisions: a survey on detection, isolation, and identification, T-RO 2017.
 
 mod course;
+mod noise;
+
+pub(super) use noise::Noise;
 
 use super::base_motion::gravity_columns;
-use super::record::{Record, spread};
+use super::record::{Record, blocks};
 use super::transient::{self, Event};
 use crate::select::MAX_RIVAL_SCORE_GAP;
 use course::{Course, SETTLED_RATIO, Torques};
@@ -131,35 +134,6 @@ struct Rivals {
     base: [f64; 2],
 }
 
-/// What the deviations are made of where nothing happens.
-pub(super) struct Noise<'a> {
-    pub record: &'a Record<'a>,
-    /// Deviations of all periods, P N x n \[Nm\].
-    pub rest: &'a DMatrix<f64>,
-    /// Noise of a period's deviation from the mean of the others over that from the mean of all.
-    pub ratio: f64,
-}
-
-impl Noise<'_> {
-    /// Standard deviation of the mean over so many rows of one period, n \[Nm\].
-    fn of_mean(&self, rows: usize) -> Vec<f64> {
-        let means = means(self.rest, rows);
-        let scale = |(joint, means): (usize, &[f64])| {
-            let out = |row: usize| self.record.masked[row] || self.record.hides(row, joint);
-            let hidden = |block: usize| (block * rows..(block + 1) * rows).any(out);
-            let counted = means.iter().enumerate().filter(|(block, _)| !hidden(*block));
-            (1.4826 * spread(&counted.map(|(_, mean)| *mean).collect::<Vec<_>>()).1 * self.ratio).max(1e-9)
-        };
-        means.as_slice().chunks(means.nrows()).enumerate().map(scale).collect()
-    }
-}
-
-/// Means over so many rows, one after another.
-fn means(x: &DMatrix<f64>, rows: usize) -> DMatrix<f64> {
-    let mean = |k: usize, j: usize| x.view((k * rows, j), (rows, 1)).sum() / rows as f64;
-    DMatrix::from_fn(x.nrows() / rows, x.ncols(), mean)
-}
-
 /// Rows of a block.
 fn block(record: &Record) -> usize {
     ((BLOCK_S / record.dt).round() as usize).clamp(1, record.tau.nrows())
@@ -169,7 +143,7 @@ fn block(record: &Record) -> usize {
 pub(super) fn candidates(record: &Record, x: &DMatrix<f64>, known: &[Event]) -> Vec<Event> {
     let length = block(record);
     let dt = length as f64 * record.dt;
-    let events = transient::events(&means(x, length), dt, MIN_ENERGY_DEVIATIONS);
+    let events = transient::events(&blocks(x, length), dt, MIN_ENERGY_DEVIATIONS);
     let of_rows = |event: Event| Event { first: event.first * length, last: event.last * length, ..event };
     let meets = |event: &Event, other: &Event| event.first < other.last && other.first < event.last;
     let apart = |event: &Event| !known.iter().any(|other| meets(event, other));

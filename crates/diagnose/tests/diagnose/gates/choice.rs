@@ -1,0 +1,148 @@
+//! Which of several candidates is taken, and which are its rivals.
+
+use super::search::{OFFSET, constant, select, taken};
+use super::synthetic::{At, FLOOR, once, once_with_effect, recorded, with_effect};
+use plumbline_diagnose::{Search, Settings};
+use plumbline_model::term::effect::{Family, Site, Spec};
+use plumbline_model::term::{asymmetric_coulomb, asymmetric_viscous, spring, torque_offset};
+
+#[test]
+fn of_forms_that_explain_as_much_the_one_without_settings_is_taken() {
+    // A spring that pulls everywhere is also one that begins to pull outside of the motion, and goes on otherwise there.
+    let first = |seed: u64| {
+        let recorded = recorded(4, 120 + seed, |at| [0.0, 0.3 * at.q[1] + 0.225]);
+        select(&recorded, &[&spring::FAMILY], &Settings::default()).state.items[0].spec.form
+    };
+    // Left to the score alone, noise prefers the other one in four of these.
+    let forms: Vec<&str> = (0..60).map(first).collect();
+    assert!(forms.iter().all(|form| *form == "linear"), "{forms:?}");
+}
+
+#[test]
+fn a_rival_is_what_comes_within_twelve_of_the_score() {
+    let families: [&'static Family; 4] =
+        [&torque_offset::FAMILY, &asymmetric_coulomb::FAMILY, &asymmetric_viscous::FAMILY, &spring::FAMILY];
+    let settings = Settings::default();
+    let (mut nearest_out, mut farthest_in) = (f64::INFINITY, 0.0_f64);
+    let drag = Spec { family: asymmetric_viscous::ID, form: "", site: Site::Joint(1), settings: Vec::new() };
+    // One effect alone is taken, of an offset and a drag that share what there is.
+    let settings = Settings { steps: 1, ..settings };
+    for number in 0..16 {
+        let share = 0.2 + 0.04 * f64::from(number);
+        let size = 4.0 * FLOOR;
+        let one = with_effect(4, 9, &drag, (1.0 - share) * size, constant(share * size));
+        one.search(&families, &settings, |search, base| {
+            let selected = search.select(base.clone(), &[], &|_| {});
+            let Some(own) = selected.found.first().map(|found| found.score) else { return };
+            let mut expected: Vec<&'static str> = Vec::new();
+            let chosen = selected.state.items[0].spec.family;
+            for other in search.propose(base, |item| item.joints() == [1] && item.spec.family != chosen) {
+                let gap = own - other.score;
+                // Of a family the nearest counts.
+                if other.score > 0.0 && gap > 0.0 && !expected.contains(&other.item.spec.family) {
+                    if gap < 12.0 {
+                        expected.push(other.item.spec.family);
+                        farthest_in = farthest_in.max(gap);
+                    } else {
+                        nearest_out = nearest_out.min(gap);
+                    }
+                }
+            }
+            let rivals = selected.found[0].rivals.iter();
+            let mut found: Vec<&'static str> = rivals.map(|one| one.item.spec.family).collect();
+            found.sort_unstable();
+            expected.sort_unstable();
+            assert_eq!(found, expected, "case {number}");
+        });
+    }
+    println!("farthest in {farthest_in}, nearest out {nearest_out}");
+    assert!(farthest_in > 5.0 && nearest_out < 30.0, "{farthest_in} {nearest_out}");
+}
+
+#[test]
+fn one_effect_after_the_other_is_taken_and_seeds_have_to_hold() {
+    let settings = Settings::default();
+    let drag = Spec { family: asymmetric_viscous::ID, form: "", site: Site::Joint(1), settings: Vec::new() };
+    let both = with_effect(4, 13, &drag, 20.0 * FLOOR, constant(15.0 * FLOOR));
+    let families: [&'static Family; 2] = [&torque_offset::FAMILY, &asymmetric_viscous::FAMILY];
+    let mut found = taken(&select(&both, &families, &settings));
+    found.sort_unstable();
+    assert_eq!(found, [("asymmetric-viscous", 2), ("torque-offset", 2)]);
+    recorded(4, 9, constant(3.0 * FLOOR)).search(&OFFSET, &settings, |search, base| {
+        // Of two seeds the one that the data does not show goes before the search begins.
+        let selected = search.select(base.clone(), search.library, &|_| {});
+        assert_eq!(taken(&selected), [("torque-offset", 2)]);
+        assert_eq!(selected.path.len(), 1);
+    });
+}
+
+#[test]
+fn a_better_effect_takes_the_place_of_one_that_came_first() {
+    let families: [&'static Family; 2] = [&torque_offset::FAMILY, &asymmetric_coulomb::FAMILY];
+    recorded(4, 9, constant(3.0 * FLOOR)).search(&families, &Settings::default(), |search, base| {
+        let seed = search.library.iter().find(|item| item.spec.family == "asymmetric-coulomb" && item.joints() == [1]);
+        let selected = search.select(base.clone(), &[seed.unwrap().clone()], &|_| {});
+        assert_eq!(taken(&selected), [("torque-offset", 2)]);
+        let path: Vec<_> = selected.path.iter().map(|step| (step.item.spec.family, step.added)).collect();
+        assert_eq!(path, [("asymmetric-coulomb", true), ("asymmetric-coulomb", false), ("torque-offset", true)]);
+    });
+}
+
+#[test]
+fn without_repeats_a_better_effect_has_to_be_better_by_twelve() {
+    let families: [&'static Family; 2] = [&torque_offset::FAMILY, &asymmetric_viscous::FAMILY];
+    let mut seen = Vec::new();
+    // An offset and a drag of one side: the one or the other is the better single effect.
+    for share in [0.3, 0.4, 0.5, 0.6, 0.7] {
+        let spec = Spec { family: asymmetric_viscous::ID, form: "", site: Site::Joint(1), settings: Vec::new() };
+        let speeds = once_with_effect(20.0, 14, &spec, 0.15 * (1.0 - share), constant(0.15 * share));
+        speeds.search(&families, &Settings::default(), |search, base| {
+            let of = |family: &str| {
+                let item = search.library.iter().find(|item| item.spec.family == family && item.joints() == [1]);
+                search.score(base, item.unwrap()).unwrap()
+            };
+            let (drag, offset) = (of("asymmetric-viscous"), of("torque-offset"));
+            let gap = offset.score - drag.score;
+            // One step: nothing comes beside it.
+            let settings = Settings { steps: 0, ..Settings::default() };
+            let search = Search { settings: &settings, ..search.at(search.operating_point) };
+            let selected = search.select(base.clone(), std::slice::from_ref(&drag.item), &|_| {});
+            println!("share {share}: gap {gap}, {:?}", taken(&selected));
+            let passes = plumbline_diagnose::folds(&search.problem, base, &offset.tried).share >= 0.2;
+            let expected = if gap > 12.0 && passes { "torque-offset" } else { "asymmetric-viscous" };
+            assert_eq!(taken(&selected), [(expected, 2)]);
+            seen.push((gap, expected));
+        });
+    }
+    assert!(
+        seen.iter().any(|(gap, _)| (0.0..12.0).contains(gap)) && seen.iter().any(|(gap, _)| *gap > 12.0),
+        "{seen:?}"
+    );
+}
+
+#[test]
+fn without_repeats_the_simplest_of_nearly_the_same_score_is_taken() {
+    let families: [&'static Family; 2] = [&torque_offset::FAMILY, &spring::FAMILY];
+    let mut seen = Vec::new();
+    for slope in [0.0, 0.02, 0.04, 0.06, 0.1, 0.2] {
+        let added = |at: &At| [0.0, 0.12 + slope * at.q[1]];
+        once(20.0, 17, added).search(&families, &Settings::default(), |search, base| {
+            let proposals = search.propose(base, |item| item.joints() == [1]);
+            let (best, offset) = (&proposals[0], proposals.iter().find(|one| one.item.spec.family == "torque-offset"));
+            let near = offset.is_some_and(|offset| offset.score >= 0.8 * best.score);
+            let settings = Settings { steps: 1, ..Settings::default() };
+            let search = Search { settings: &settings, ..search.at(search.operating_point) };
+            let taken = search.forward(base.clone(), &[], &|_| {}).state.items;
+            println!(
+                "slope {slope}: best {} {}, near {near}, {:?}",
+                best.item.spec.family,
+                best.score,
+                taken.first().map(|item| &item.spec)
+            );
+            let expected = if near { "torque-offset" } else { best.item.spec.family };
+            assert_eq!(taken[0].spec.family, expected);
+            seen.push((near, best.item.spec.family));
+        });
+    }
+    assert!(seen.contains(&(true, "spring")) && seen.contains(&(false, "spring")), "{seen:?}");
+}
