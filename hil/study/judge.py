@@ -135,10 +135,13 @@ def score(report, truth):
         unseen = max([unseen] + [x / y for x, y in zip(run["rms_filtered"], floor) if x and y])
     before, after = d["before"]["validate_rms"], d["after"]["validate_rms"]
     harm = [round(b / a, 3) for a, b in zip(before, after) if a and b]
+    # the whole interval of 95 % above zero
+    intervals = (d.get("change") or {}).get("intervals", [])
+    surely = [round(b / a, 3) for a, b, (low, _) in zip(before, after, intervals) if a and b and low > 0]
     return {
         "class": kind, "verdict": verdict, "false": [(e["id"], e["joints"], e["form"], e["in_model"], e["rms"]) for e in false],
         "named": [(e["id"], e["joints"]) for e in effects], "missed": [(t["kind"], t["joints"], t["ratio"]) for t in missed],
-        "unexplained": unexplained, "unseen": round(unseen, 2), "cover": cover, "base_cover": base, "harm": max(harm, default=1.0), "impossible": [f"{e['id']} {n}" for e in effects for n, v in e["parameters"].items()
+        "unexplained": unexplained, "unseen": round(unseen, 2), "cover": cover, "base_cover": base, "harm": max(harm, default=1.0), "sure_harm": max(surely, default=1.0), "impossible": [f"{e['id']} {n}" for e in effects for n, v in e["parameters"].items()
                                                       if v is not None and v < 0 and n.rstrip("0123456789") in NONNEGATIVE],
         "floors": floor, "confirmation": d.get("confirmation"),
     }
@@ -267,8 +270,9 @@ def table(args):
         if z:
             print(f"cover of {name}: {share(sum(x <= 3 for x in z), len(z))} within 3 standard deviations, "
                   f"{share(sum(x <= 1.96 for x in z), len(z))} within 1.96")
-    harm = [r for r in good if r["harm"] > HARM]
-    print(f"a joint worse than plain by more than {100 * (HARM - 1):.0f} % on held-out data: {share(len(harm), len(good))}")
+    for key, beyond in (("harm", ""), ("sure_harm", ", and by more than the interval of 95 % allows")):
+        worse = [r for r in good if r.get(key, 1.0) > HARM]
+        print(f"a joint worse than plain by more than {100 * (HARM - 1):.0f} % on held-out data{beyond}: {share(len(worse), len(good))}")
     if good:
         walls = [r["wall"] for r in good]
         print(f"time of a diagnosis: median {statistics.median(walls):.1f} s, most {max(walls):.1f} s; memory: most {max(r['megabytes'] or 0 for r in good)} MB; "

@@ -30,5 +30,6 @@ mod robot_command;
 mod rounds;
 mod run_identity;
 mod schemas;
+mod steps;
 mod undeclared_effect;
 mod vertical_model;

@@ -10,7 +10,7 @@ use super::state::State;
 use nalgebra::{DMatrix, DVector};
 use plumbline_identify::Experiment;
 use plumbline_model::Chain;
-use plumbline_model::term::effect::{Family, OperatingPoint, Place};
+use plumbline_model::term::effect::OperatingPoint;
 use plumbline_model::term::{Motion, Term};
 use std::borrow::Cow;
 use std::sync::Arc;
@@ -75,13 +75,6 @@ impl<'a> Acting<'a> {
     }
 }
 
-/// Kinds of effect that may come within a recording. Where the noise is unknown a change of friction or of an encoder fits much that has no name, and
-/// of effects in one joint only an offset is tried.
-fn families(evidence: &Evidence) -> Vec<&'static Family> {
-    let tried = |family: &Family| evidence.repeats() || family.place == Place::Arm || family.rare.in_every_arm;
-    sudden().into_iter().filter(|family| tried(family)).collect()
-}
-
 /// Candidates that act from the begin of a run on, in one run alone, in `known` parts, and from every block of a motion that does not repeat on.
 ///
 /// A load in the first run alone is the load of all runs, which the model has, and its opposite since the second. A tilt or an offset of all runs is
@@ -94,7 +87,7 @@ pub(super) fn candidates(
     in_no_model: impl Fn(&Candidate) -> bool,
     threads: usize,
 ) -> Vec<Candidate> {
-    let families = families(evidence);
+    let families = sudden();
     let everywhere = library(evidence, operating_point, &families, Span::ALL, threads);
     let parts = whole_folds(evidence, trials).into_iter();
     let of_part = |span| everywhere.iter().filter_map(move |item| item.in_folds(evidence, span));

@@ -18,6 +18,7 @@ use plumbline_identify::{EstimateError, Experiment, Modelled};
 use plumbline_model::TorqueModel;
 use plumbline_model::term::effect::{self, Spec};
 use plumbline_model::term::{Column, Expected, Motion};
+use std::cell::OnceCell;
 
 /// Smallest share of a joint's unmodelled power on unseen runs that its effects explain, to be delivered.
 const MIN_EXPLAINED_RATIO: f64 = 0.5;
@@ -113,8 +114,8 @@ impl Delivery<'_> {
     }
 
     /// The effect that the model `after` must not have, and why: a parameter is below zero that can't be by its physics; its parameters are zero within
-    /// their errors; a joint is predicted worse than by the plain model on unseen runs; or it is unconfirmed, and its joint is not predicted better
-    /// there.
+    /// their errors; its joint is predicted worse than by the plain model on unseen runs, or another one is and all together are no worse without it; or
+    /// it is unconfirmed, and its joint is not predicted better there, or all together are no worse without it.
     fn reason(
         &self,
         selected: &Selected,
@@ -135,35 +136,48 @@ impl Delivery<'_> {
             }
         }
         let compared = self.compared(after, self.input.veto)?;
-        let change = |joint: usize| (compared.change.validate_rms[joint], compared.change.intervals[joint]);
-        let words = |joint: usize| {
-            let (change, [low, high]) = change(joint);
-            format!("{change:+.4} [{low:.4}, {high:.4}] Nm in joint {}", joint + 1)
-        };
-        for joint in 0..compared.before.validate_rms.len() {
-            if change(joint).1[0] > MAX_WORSENING_RATIO * compared.before.validate_rms[joint] {
-                let own = candidates.iter().copied().find(|&index| items[index].spec.site.joints().contains(&joint));
-                let index = own.or_else(|| self.costliest(selected, kept, &candidates, joint))?;
-                return Some((index, format!("with it, unseen runs are predicted worse: {}", words(joint))));
+        let errors = OnceCell::new();
+        let without = || errors.get_or_init(|| self.errors_without(selected, kept, &candidates));
+        for joint in worse(&compared) {
+            let why = format!("with it, unseen runs are predicted worse: {}", words(&compared, joint));
+            if let Some(own) = candidates.iter().find(|&&index| items[index].spec.site.joints().contains(&joint)) {
+                return Some((*own, why));
+            }
+            // The joints share the rigid body's parameters. What an effect costs another joint is weighed against what it takes elsewhere.
+            let costliest = without().iter().min_by(|(_, a), (_, b)| a[joint].total_cmp(&b[joint]));
+            if let Some((index, _)) = costliest.filter(|(_, errors)| rise(errors, &compared) <= 0.0) {
+                return Some((*index, why));
             }
         }
-        candidates.into_iter().filter(|&index| !confirmed[index]).find_map(|index| {
+        let unconfirmed = || candidates.iter().copied().filter(|&index| !confirmed[index]);
+        let no_better = unconfirmed().find_map(|index| {
             let joint = selected.found[index].relevance.joint;
-            let why = || format!("it is unconfirmed, and unseen runs are predicted no better: {}", words(joint));
-            (change(joint).0 >= 0.0).then(|| (index, why()))
-        })
+            let why =
+                || format!("it is unconfirmed, and unseen runs are predicted no better: {}", words(&compared, joint));
+            (compared.change.validate_rms[joint] >= 0.0).then(|| (index, why()))
+        });
+        if no_better.is_some() || unconfirmed().next().is_none() {
+            return no_better;
+        }
+        let rises = without().iter().map(|(index, errors)| (*index, rise(errors, &compared)));
+        let least = rises.filter(|(index, _)| !confirmed[*index]).min_by(|(_, a), (_, b)| a.total_cmp(b));
+        let (index, rise) = least.filter(|(_, rise)| *rise <= 0.0)?;
+        let percent = 100.0 * rise;
+        let why = format!(
+            "it is unconfirmed, and unseen runs are predicted no worse without it: {percent:+.1} % in the mean of the joints"
+        );
+        Some((index, why))
     }
 
-    /// Of effects in other joints, the one without which `joint` is predicted best: the joints share the rigid body's parameters.
-    fn costliest(&self, selected: &Selected, kept: &[bool], candidates: &[usize], joint: usize) -> Option<usize> {
-        let error_without = |&index: &usize| {
+    /// Errors of each joint on the runs that decide, without each of these effects in turn.
+    fn errors_without(&self, selected: &Selected, kept: &[bool], candidates: &[usize]) -> Vec<(usize, Vec<f64>)> {
+        let errors = |&index: &usize| {
             let mut fewer = kept.to_vec();
             fewer[index] = false;
-            let after = self.extended(&selected.state, &fewer).ok()?;
-            Some((index, self.compared(&after, self.input.veto)?.after.validate_rms[joint]))
+            let without = self.extended(&selected.state, &fewer).ok()?;
+            Some((index, self.compared(&without, self.input.veto)?.after.validate_rms))
         };
-        let errors = candidates.iter().filter_map(error_without);
-        errors.min_by(|(_, a), (_, b)| a.total_cmp(b)).map(|(index, _)| index)
+        parallel(candidates, self.settings.threads, errors).into_iter().flatten().collect()
     }
 
     /// Errors of the plain model and of another one on runs; `None` where there are none.
@@ -262,6 +276,24 @@ impl Delivery<'_> {
         }
         Ok(fitted)
     }
+}
+
+/// Joints that the second model predicts worse than the first.
+pub fn worse(compared: &Compared) -> impl Iterator<Item = usize> {
+    let pairs = compared.change.intervals.iter().zip(&compared.before.validate_rms);
+    pairs.enumerate().filter(|(_, ([low, _], before))| *low > MAX_WORSENING_RATIO * **before).map(|(joint, _)| joint)
+}
+
+/// Change of a joint's error with its interval.
+pub fn words(compared: &Compared, joint: usize) -> String {
+    let (change, [low, high]) = (compared.change.validate_rms[joint], compared.change.intervals[joint]);
+    format!("{change:+.4} [{low:.4}, {high:.4}] Nm in joint {}", joint + 1)
+}
+
+/// Mean of `ln` of errors without an effect over those with it: each joint counts alike.
+fn rise(without: &[f64], with: &Compared) -> f64 {
+    let joints = without.iter().zip(&with.after.validate_rms);
+    joints.map(|(without, with)| (without / with).ln()).sum::<f64>() / without.len() as f64
 }
 
 /// Estimates of the linear parameters of an effect, by name: some effects are columns of a term of the whole arm.

@@ -2,7 +2,7 @@
 
 use super::acting::{self, Acting};
 use super::curves;
-use super::delivery::Delivery;
+use super::delivery::{self, Delivery};
 use super::detectable;
 use super::deviations::Deviations;
 use super::disagreement::{Disagreements, disagreements};
@@ -182,6 +182,9 @@ pub fn diagnose(input: &Input, settings: &Settings, progress: &Watch) -> Result<
     let open = OpenQuestions::of(&search, structure, &selected, diagnosis.verdict, input.identify, settings);
     diagnosis.open = open.questions().map(Question::facts).collect();
     if let Some(compared) = compared {
+        let worse = delivery::worse(&compared).map(|joint| delivery::words(&compared, joint));
+        let note = |change| format!("unseen runs are predicted worse than by the plain model: {change}");
+        diagnosis.notes.extend(worse.map(note));
         diagnosis.change = Some(compared.change.clone());
         diagnosis.set_errors(compared);
     }
@@ -227,13 +230,13 @@ fn notes(
         notes.push(format!("{} was found and is not in the delivered model: {why}", hint.place()));
     }
     notes.extend(disagreements.iter().map(|one| {
-        let Disagreement { run, joint, rms, expected } = one;
+        let Disagreement { run, joint, rms, expected, .. } = one;
         format!(
             "run {run} differs from the runs that the model was identified from: {rms:.3} Nm in joint {joint}, expected {expected:.3} Nm"
         )
     }));
     notes.extend(undetermined.iter().map(|one| {
-        let Disagreement { run, joint, rms, expected } = one;
+        let Disagreement { run, joint, rms, expected, .. } = one;
         format!(
             "run {run} has {rms:.3} Nm in joint {joint} where the noise and what the model lacks make {expected:.3} Nm; the errors of the parameters explain \
              it, so a motion that determines them better has to be recorded before more can be said"

@@ -9,16 +9,12 @@ use super::state::{mean_square_below, unmodelled_below};
 use super::unseen::Unseen;
 use nalgebra::DVector;
 use plumbline_model::Chain;
+use statrs::distribution::{ContinuousCDF, FisherSnedecor};
 
-/// Smallest ratio of an unseen run's RMS to the expected one.
+/// Smallest ratio of an unseen run's RMS to the expected one for the run to differ.
 const MIN_RMS_RATIO: f64 = 2.0;
-
-impl Disagreement {
-    /// Whether a run with this residual \[Nm\] would agree.
-    pub fn is_explained_at(&self, rms: f64) -> bool {
-        rms <= MIN_RMS_RATIO * self.expected
-    }
-}
+/// Probability that noise alone lets any joint of any run differ.
+const FALSE_ALARM_PROBABILITY: f64 = 1e-3;
 
 /// Errors of the parameters to expect, in their standard deviations.
 const PARAMETER_DEVIATIONS: f64 = 1.5;
@@ -35,7 +31,8 @@ pub struct Disagreements {
 ///
 ///   E = sqrt(noise^2 + lack^2 + 1.5^2 mean_k(m_k' C m_k))
 ///
-/// in the lowest `bands`. `m_k` is the row of sample k and `C` the covariance of the parameters: the noise is an average over many samples, but all
+/// in the lowest `bands`. A run differs above `E max(2, sqrt(F))`, with `F` the quantile of the F distribution with the freedoms of the noise in the run and in the
+/// identified ones: slow noise has few. `m_k` is the row of sample k and `C` the covariance of the parameters: the noise is an average over many samples, but all
 /// samples share the errors of the parameters, which are often larger than their standard deviation. `identified` are the runs that `fitted` was
 /// identified from, in `evidence`.
 pub fn disagreements(
@@ -53,6 +50,7 @@ pub fn disagreements(
     let lacks: Vec<f64> = (0..evidence.joints()).map(lack).collect();
     let of_period = |joint: usize| evidence.floor_of_a_period_below(joint, bands).unwrap_or(0.0).powi(2);
     let noise: Vec<f64> = (0..evidence.joints()).map(of_period).collect();
+    let freedom: Vec<f64> = (0..evidence.joints()).map(|joint| evidence.freedom_of_noise_below(joint, bands)).collect();
     let mut found = Disagreements { different: Vec::new(), undetermined: Vec::new() };
     for trial in unseen {
         let trials = std::slice::from_ref(trial);
@@ -65,17 +63,21 @@ pub fn disagreements(
         let joint = |deviations: f64, joint: usize| {
             let square = mean_square_below(&of_run, joint, &model.residual(joint, &beta), bands);
             let parameters = model.variance(joint, &fitted.identification.covariance, bands);
-            let expected = noise[joint] / periods + lacks[joint] + deviations * deviations * parameters;
+            let expected = (noise[joint] / periods + lacks[joint] + deviations * deviations * parameters).sqrt();
+            let alone = FALSE_ALARM_PROBABILITY / (unseen.len() * of_run.joints()) as f64;
+            let of_noise = || mean_square_ratio(alone, of_run.rows_of_noise_below(joint, bands), freedom[joint]).sqrt();
+            let ratio = if evidence.repeats() { of_noise() } else { 0.0 };
             Disagreement {
                 run: trial.experiment.name.clone(),
                 joint: joint + 1,
                 rms: square.sqrt(),
-                expected: expected.sqrt(),
+                expected,
+                limit: expected * ratio.max(MIN_RMS_RATIO),
             }
         };
         let worst = |deviations: f64| {
             let joints = (0..of_run.joints()).map(|own| joint(deviations, own));
-            joints.max_by(|a, b| a.ratio().total_cmp(&b.ratio())).filter(|worst| worst.ratio() > MIN_RMS_RATIO)
+            joints.max_by(|a, b| a.ratio().total_cmp(&b.ratio())).filter(|worst| worst.ratio() > 1.0)
         };
         match worst(PARAMETER_DEVIATIONS) {
             Some(worst) => found.different.push(worst),
@@ -83,4 +85,26 @@ pub fn disagreements(
         }
     }
     found
+}
+
+/// Ratio of two mean squares of the same noise with these degrees of freedom that is exceeded with a probability: quantile of the F distribution.
+/// Without limit where either has none.
+fn mean_square_ratio(probability: f64, first: f64, second: f64) -> f64 {
+    FisherSnedecor::new(first, second).map_or(f64::INFINITY, |f| f.inverse_cdf(1.0 - probability))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::mean_square_ratio;
+
+    #[test]
+    fn quantiles_agree_with_the_tables() {
+        // NIST/SEMATECH e-Handbook of Statistical Methods, section 1.3.6.7.3, at 1 %.
+        for (first, second, table) in [(1.0, 10.0, 10.044), (5.0, 20.0, 4.103), (10.0, 100.0, 2.503)] {
+            let ratio = mean_square_ratio(0.01, first, second) / table;
+            assert!((ratio - 1.0).abs() < 5e-4, "{first} {second}: {ratio} of {table}");
+        }
+        // Without periods to compare the noise has no freedom, and nothing can be said.
+        assert_eq!(mean_square_ratio(0.01, 5.0, 0.0), f64::INFINITY);
+    }
 }

@@ -221,6 +221,30 @@ impl Evidence {
         self.repeats.then(|| (power / self.samples()).sqrt())
     }
 
+    /// Number of rows of equal noise whose mean square scatters as much as that of a joint's noise: `(sum s^2)^2 / sum s^4`. Where noise is slow only
+    /// the lowest frequencies have a say.
+    pub fn rows_of_noise_below(&self, joint: usize, bands: usize) -> f64 {
+        self.freedom(joint, bands, |_periods| 1.0)
+    }
+
+    /// Degrees of freedom of a joint's noise as the scatter between periods tells it, by Satterthwaite.
+    pub fn freedom_of_noise_below(&self, joint: usize, bands: usize) -> f64 {
+        self.freedom(joint, bands, |periods| periods - 1.0)
+    }
+
+    /// Degrees of freedom of a sum of squares when each has those of its number of periods.
+    fn freedom(&self, joint: usize, bands: usize, of_each: impl Fn(f64) -> f64) -> f64 {
+        let (mut sum, mut variance) = (0.0, 0.0);
+        for cell in self.cells_below(joint, bands) {
+            let freedom = of_each(self.periods[self.folds[cell.fold].experiment]);
+            for sigma in &self.sigma[joint][cell.rows.clone()] {
+                sum += sigma.powi(2);
+                variance += sigma.powi(4) / freedom;
+            }
+        }
+        sum * sum / variance
+    }
+
     fn cells_below(&self, joint: usize, bands: usize) -> impl Iterator<Item = &Cell> {
         self.cells.iter().filter(move |cell| cell.joint == joint && cell.band < bands)
     }

@@ -13,7 +13,7 @@ use super::search;
 use super::span::Span;
 use super::state::{State, Tried, every};
 use plumbline_core::parallel;
-use plumbline_model::term::effect::{OperatingPoint, Setting, Spec};
+use plumbline_model::term::effect::{Family, OperatingPoint, Place, Setting, Spec};
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// Candidates that are fitted in full at each step.
@@ -27,6 +27,8 @@ const TIE_RATIO: f64 = 0.8;
 /// A form whose score is better by no more than this is not preferred to one of the same effect with fewer settings, for outside of the recorded range
 /// they may differ much. Only from here on the evidence is strong (Kass and Raftery, Journal of the American Statistical Association 90, 1995).
 const MIN_FORM_GAP: f64 = 6.0;
+/// Least share of a joint's mean square on blocks left out that a change of its friction or encoder takes, where the noise is unknown.
+const MIN_CHANGE_SHARE: f64 = 0.5;
 /// Candidates that an outcome lists.
 pub(super) const MAX_LISTED_SCORES: usize = 10;
 /// Largest score difference of a rival that the data cannot separate from the chosen effect.
@@ -300,7 +302,16 @@ impl<'a> Search<'a> {
         let folds = gates::folds(&self.problem, state, &one.tried);
         let blocks = self.evidence().folds().len();
         folds.confirm() != Some(false)
-            && (self.evidence().repeats() || folds.hold(blocks, one.penalty, self.settings.least_share_left_out))
+            && (self.evidence().repeats() || folds.hold(blocks, one.penalty, self.least_share_left_out(&one.item)))
+    }
+
+    /// Share of a joint's mean square on blocks left out that a candidate has to take where the noise is unknown.
+    fn least_share_left_out(&self, item: &Candidate) -> f64 {
+        // A change of one joint's friction or encoder at some time fits much that has no name.
+        let of_one_joint = |family: &Family| family.place != Place::Arm && !family.rare.in_every_arm;
+        let fits_much = !item.span.is_all() && item.spec.family().is_ok_and(of_one_joint);
+        let usual = self.settings.least_share_left_out;
+        if fits_much { usual.max(MIN_CHANGE_SHARE) } else { usual }
     }
 
     /// Of candidates that pass, the best; of those that are nearly as good the simplest, where the score is no exact measure.

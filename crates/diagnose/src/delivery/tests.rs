@@ -215,6 +215,28 @@ fn an_unconfirmed_effect_is_delivered_where_its_joint_is_predicted_better_alone(
 }
 
 #[test]
+fn an_unconfirmed_effect_that_pays_nothing_on_unseen_runs_is_withheld() {
+    // The offset brings joint 2 far below the plain model; that must not carry a spring which the runs that decide have not.
+    let torque = |spring: f64| move |at: &At| [0.0, 1.0 + spring * at.q[1]];
+    let identify = recorded(2, 76, torque(0.5));
+    let spring = Spec { form: "linear", settings: vec![], ..spec("spring", 1) };
+    let effects = [(spec("torque-offset", 1), Span::ALL, 99.0), (spring, Span::ALL, 9.0)];
+    for (truth, withheld) in [(0.5, None), (0.0, Some(1))] {
+        let veto = recorded(2, 77, torque(truth));
+        Case::of(&identify, &veto).deliver(&effects, |delivery, selected| {
+            let after = delivery.extended(&selected.state, &[true, true]).unwrap();
+            let reason = |confirmed| delivery.reason(selected, &[true, true], &after, &[confirmed, confirmed]);
+            let why = reason(false);
+            assert_eq!(why.as_ref().map(|(index, _)| *index), withheld, "{why:?}");
+            assert!(why.is_none_or(
+                |(_, why)| why.contains("no worse without it: -") && why.ends_with("% in the mean of the joints")
+            ));
+            assert_eq!(reason(true), None);
+        });
+    }
+}
+
+#[test]
 fn where_another_joint_is_predicted_worse_the_effect_without_which_it_is_predicted_best_is_withheld() {
     // Joint 2 has an offset and no spring. Only one of both is in the model: without the offset the parameters that the joints share are wrong.
     let identify = recorded(2, 67, tone_and_offset(2.0));
@@ -231,6 +253,9 @@ fn where_another_joint_is_predicted_worse_the_effect_without_which_it_is_predict
             let (index, why) = delivery.reason(selected, &[true, true], &after, &[true, true]).unwrap();
             assert!(why.ends_with("in joint 1"), "{why}");
             assert_eq!(index, 1 - offset, "the effect that is not there");
+            // The offset takes more in joint 2 than joint 1 loses with it.
+            let kept = [offset == 0, offset == 1];
+            assert_eq!(delivery.reason(selected, &kept, &after, &[true, true]), None);
         });
     }
 }

@@ -250,6 +250,9 @@ pub struct Disagreement {
     pub rms: f64,
     /// The RMS to expect from the noise, the residual of the identified runs and the errors of the parameters \[Nm\].
     pub expected: f64,
+    /// The largest RMS that would not differ from it \[Nm\].
+    #[serde(default)]
+    pub limit: f64,
 }
 
 /// The least of one kind of effect that would have been seen.
@@ -429,9 +432,14 @@ pub struct Changes {
 }
 
 impl Disagreement {
-    /// RMS over the expected one.
+    /// RMS over the largest that would not differ.
     pub fn ratio(&self) -> f64 {
-        self.rms / self.expected.max(f64::MIN_POSITIVE)
+        self.rms / self.limit.max(f64::MIN_POSITIVE)
+    }
+
+    /// Whether a run with this residual \[Nm\] would agree.
+    pub fn is_explained_at(&self, rms: f64) -> bool {
+        rms <= self.limit
     }
 }
 
