@@ -30,6 +30,8 @@ const REPLAYS_PER_POLL: usize = 8;
 const INITIAL_MODEL_BYTES: usize = 64 << 10;
 /// Interval between two heartbeat checks of the followers \[ns\].
 const CHECK_INTERVAL_NS: u64 = 250_000_000;
+/// Interval at which the message of the model is sent again \[ns\].
+const MODEL_INTERVAL_NS: u64 = 1_000_000_000;
 
 /// Settings of the server: retained records and heartbeat timeout.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
@@ -66,8 +68,10 @@ pub struct Server {
     samples: Publisher<ipc::Service, [SampleMessage], ()>,
     feed_forward: Publisher<ipc::Service, FeedForwardMessage, ()>,
     model: Publisher<ipc::Service, [u8], ModelHeader>,
-    /// Number of the last message of the model.
-    models: u64,
+    /// The last message of the model, and when it was sent.
+    model_header: ModelHeader,
+    model_text: String,
+    model_sent_ns: u64,
     replay: RequestServer<ipc::Service, FollowRequest, (), [SampleMessage], ReplayHeader>,
     requests: Requests,
     replay_service: services::Replay,
@@ -143,7 +147,9 @@ impl Server {
             samples,
             feed_forward,
             model,
-            models: 0,
+            model_header: ModelHeader::default(),
+            model_text: String::new(),
+            model_sent_ns: 0,
             replay,
             requests: Requests::new(commands),
             replay_service,
@@ -198,11 +204,18 @@ impl Server {
     }
 
     /// Publishes the served model: identity, gravity and validity in `header`, and the text of its file. Sets layout, epoch, sequence and
-    /// stamp. Clients that connect later receive it, too.
+    /// stamp. Clients that connect later receive it, too. [`Server::serve`] sends it again every second.
     pub fn model(&mut self, mut header: ModelHeader, text: &str) {
-        self.models += 1;
-        (header.layout, header.epoch, header.sequence) = (LAYOUT, self.epoch, self.models);
+        (header.layout, header.epoch, header.sequence) = (LAYOUT, self.epoch, self.model_header.sequence + 1);
         header.stamp_ns = services::boot_ns();
+        self.model_header = header;
+        text.clone_into(&mut self.model_text);
+        self.send_model();
+    }
+
+    fn send_model(&mut self) {
+        self.model_sent_ns = now_ns();
+        let (header, text) = (self.model_header, &self.model_text);
         // Memory that grows is not reserved: the kernel ends a process that writes to a segment without memory (SIGBUS).
         let full = runtime_dir::shared_memory_full().filter(|_| text.len() > INITIAL_MODEL_BYTES);
         let sent = full.map_or(Ok(()), Err).and_then(|()| {
@@ -216,9 +229,13 @@ impl Server {
         }
     }
 
-    /// Hands the served model to clients that connected since it was published: iceoryx2 does it when the publisher sends or is asked to, and
-    /// a model is sent when it changes.
-    fn connect_model_clients(&mut self) {
+    /// Hands the served model to clients that connected since it was published: iceoryx2 does it when the publisher sends or is asked to.
+    /// Sends it again once a second: a tunnel connects its far end after it has read the model here, and followers there have no other sign that
+    /// the daemon runs.
+    fn serve_model(&mut self) {
+        if now_ns().saturating_sub(self.model_sent_ns) >= MODEL_INTERVAL_NS {
+            return self.send_model();
+        }
         if let Err(error) = self.model.update_connections() {
             self.report_error("model", format!("{error:?}"));
         }
@@ -251,7 +268,7 @@ impl Server {
         max_heavy: usize,
         answer: impl FnMut(IncomingRequest, &Served) -> Option<Response>,
     ) -> usize {
-        self.connect_model_clients();
+        self.serve_model();
         self.poll_replay();
         self.check_followers();
         self.report_failed_connections();
