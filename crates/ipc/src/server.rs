@@ -11,6 +11,7 @@ use iceoryx2::port::{DegradationAction, DegradationCause, DegradationFn};
 use iceoryx2::prelude::*;
 use serde::Deserialize;
 
+use super::clock;
 use super::command::{MAX_RESPONSE_BYTES, Request, Response, Served};
 use super::error::IpcError;
 use super::error_counts::ErrorCounts;
@@ -55,6 +56,8 @@ impl Default for ServerSettings {
 /// No method blocks or fails because of a client. Errors of shared memory are counted and reported in [`Served`].
 pub struct Server {
     epoch: u64,
+    /// Identity of the clock of stamps.
+    clock: u32,
     settings: ServerSettings,
     log: RetainedLog,
     followers: Followers,
@@ -136,6 +139,7 @@ impl Server {
         let epoch = new_epoch();
         let mut server = Server {
             epoch,
+            clock: clock::identity(),
             log: RetainedLog::new(settings.retain),
             settings,
             followers: Followers::default(),
@@ -192,11 +196,15 @@ impl Server {
         self.counters.given_up_unacknowledged += self.log.first().saturating_sub(unacknowledged_from);
     }
 
-    /// Publishes the latest feed-forward value. Sets its `sequence` and `epoch`, and converts its stamp to `CLOCK_BOOTTIME`.
+    /// Publishes the latest feed-forward value. Sets its `sequence` and `epoch`, and its `clock` unless it has one (from a relay); converts
+    /// its stamp to `CLOCK_BOOTTIME`.
     pub fn feed_forward(&mut self, mut message: FeedForwardMessage) {
         self.counters.feed_forward += 1;
         message.sequence = self.counters.feed_forward;
         message.epoch = self.epoch;
+        if message.clock == 0 {
+            message.clock = self.clock;
+        }
         message.stamp_ns = message.stamp_ns.saturating_add(services::suspended_ns());
         if let Err(error) = self.feed_forward.send_copy(message) {
             self.report_error("feed-forward", error.to_string());
