@@ -25,11 +25,14 @@ rm -rf "$wheels" && mkdir -p "$wheels"
 place=$(mktemp -d) robot=tunnel-$$
 declare -A holder
 down() {
-    for side in arm desk; do
-        pids=$(ip netns pids "plumbline-$side" 2>/dev/null || true)
-        [ -z "$pids" ] || kill $pids 2>/dev/null || true
+    local side left pids
+    for left in {1..50}; do
+        pids=$(for side in arm desk; do ip netns pids "plumbline-$side" 2>/dev/null || true; done)
+        [ -n "$pids" ] || break
+        # The daemon ends with a controlled stop.
+        [ "$left" != 1 ] || kill $pids 2>/dev/null || true
+        sleep 0.2
     done
-    sleep 1
     for side in arm desk; do ip netns delete "plumbline-$side" 2>/dev/null || true; done
     rm -rf "${place:?}"/*
 }
