@@ -345,7 +345,7 @@ def test_the_model_and_the_torque_of_a_daemon_are_followed(tmp_path):
 
             daemon.kill()
             daemon.wait()
-            with pytest.raises(errors.DaemonGone, match="has ended; the last model is kept"):
+            with pytest.raises(errors.DaemonGone, match="has ended, or sends nothing; the last model is kept"):
                 within(30, "end", model.check_daemon)
             assert np.array_equal(model.torque(q, q, q), own.torque(q, q, q))
             assert not feed_forward.running

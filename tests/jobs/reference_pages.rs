@@ -87,7 +87,7 @@ macro_rules! layout {
 fn message_layouts_match_their_tables() {
     let text = page::read(MESSAGES);
     let feed_forward = layout!(FeedForwardMessage: sequence, stamp_ns, epoch, model, n, phase, q_d, dq_d, tau_ff, gravity, tau_vendor,
-        gravity_vendor, validity, reserved);
+        gravity_vendor, validity, clock);
     let sample = layout!(SampleMessage: epoch, seq, cycle, state_seq, time, q, dq, tau, q_d, command_seq, desired_q, desired_dq,
         desired_ddq, tau_ff, phase, motion, tick, model, stamp_ns, wake_ns, work_ns, tau_vendor, validity, reserved);
     let model = layout!(ModelHeader: layout, validity, epoch, sequence, stamp_ns, model, gravity, gravity_vendor);

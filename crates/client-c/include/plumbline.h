@@ -38,7 +38,7 @@ typedef enum PlumblineCode {
   PLUMBLINE_FULL = 23,
   // Shared memory failed.
   PLUMBLINE_TRANSPORT = 24,
-  // The followed daemon has ended; the last model is kept, and the next daemon is followed.
+  // The followed daemon has ended, or sends nothing; the last model is kept, and the next daemon is followed.
   PLUMBLINE_DAEMON_GONE = 25,
   // The daemon serves a model of another robot than expected.
   PLUMBLINE_OTHER_ROBOT = 26,
@@ -81,7 +81,7 @@ typedef struct PlumblineTorque {
   uint64_t epoch;
   // Identity of the served model, 0 for none.
   uint64_t model;
-  // Time from the arm's state to this call [ns].
+  // Time from the arm's state to this call [ns]; of a daemon on another machine, the part beyond the fastest transit of the last 5 to 10 s of values.
   uint64_t age_ns;
   // Number of joints.
   uint32_t n;
@@ -270,7 +270,7 @@ enum PlumblineCode plumbline_feed_forward_open(const char *robot,
                                                double timeout_s,
                                                struct PlumblineFeedForward **feed_forward);
 
-// The latest value with its present age; PLUMBLINE_NO_VALUE before the first. The same value is returned until a newer one arrives. The first call
+// The latest value with its present age; PLUMBLINE_NO_VALUE before the first, and before the second of a daemon on another machine. The same value is returned until a newer one arrives. The first call
 // after the daemon's start maps memory; later ones read it.
 //
 // # Safety
@@ -278,7 +278,7 @@ enum PlumblineCode plumbline_feed_forward_open(const char *robot,
 enum PlumblineCode plumbline_feed_forward_latest(struct PlumblineFeedForward *feed_forward,
                                                  struct PlumblineTorque *torque);
 
-// PLUMBLINE_OK while the daemon's process runs, else PLUMBLINE_DAEMON_GONE. Reads files: not for the control loop.
+// PLUMBLINE_OK while the daemon's process (on another machine: the tunnel's) runs, else PLUMBLINE_DAEMON_GONE. Reads files: not for the control loop.
 //
 // # Safety
 // `feed_forward` is null or from this library.

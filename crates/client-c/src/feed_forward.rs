@@ -19,7 +19,7 @@ pub struct PlumblineTorque {
     pub epoch: u64,
     /// Identity of the served model, 0 for none.
     pub model: u64,
-    /// Time from the arm's state to this call \[ns\].
+    /// Time from the arm's state to this call \[ns\]; of a daemon on another machine, the part beyond the fastest transit of the last 5 to 10 s of values.
     pub age_ns: u64,
     /// Number of joints.
     pub n: u32,
@@ -65,7 +65,7 @@ pub unsafe extern "C" fn plumbline_feed_forward_open(
     })
 }
 
-/// The latest value with its present age; PLUMBLINE_NO_VALUE before the first. The same value is returned until a newer one arrives. The first call
+/// The latest value with its present age; PLUMBLINE_NO_VALUE before the first, and before the second of a daemon on another machine. The same value is returned until a newer one arrives. The first call
 /// after the daemon's start maps memory; later ones read it.
 ///
 /// # Safety
@@ -103,7 +103,7 @@ pub unsafe extern "C" fn plumbline_feed_forward_latest(
     })
 }
 
-/// PLUMBLINE_OK while the daemon's process runs, else PLUMBLINE_DAEMON_GONE. Reads files: not for the control loop.
+/// PLUMBLINE_OK while the daemon's process (on another machine: the tunnel's) runs, else PLUMBLINE_DAEMON_GONE. Reads files: not for the control loop.
 ///
 /// # Safety
 /// `feed_forward` is null or from this library.

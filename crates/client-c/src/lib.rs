@@ -52,7 +52,7 @@ pub enum PlumblineCode {
     PLUMBLINE_FULL = 23,
     /// Shared memory failed.
     PLUMBLINE_TRANSPORT = 24,
-    /// The followed daemon has ended; the last model is kept, and the next daemon is followed.
+    /// The followed daemon has ended, or sends nothing; the last model is kept, and the next daemon is followed.
     PLUMBLINE_DAEMON_GONE = 25,
     /// The daemon serves a model of another robot than expected.
     PLUMBLINE_OTHER_ROBOT = 26,
@@ -180,7 +180,7 @@ const TEXTS: [(PlumblineCode, &CStr); 22] = [
     (PLUMBLINE_LAYOUT, c"the daemon's messages have another layout"),
     (PLUMBLINE_FULL, c"no slot is left for another client"),
     (PLUMBLINE_TRANSPORT, c"shared memory failed"),
-    (PLUMBLINE_DAEMON_GONE, c"the followed daemon has ended; the last model is kept"),
+    (PLUMBLINE_DAEMON_GONE, c"the followed daemon has ended, or sends nothing; the last model is kept"),
     (PLUMBLINE_OTHER_ROBOT, c"the daemon serves a model of another robot than expected"),
     (PLUMBLINE_OTHER_MOUNTING, c"gravity is not the expected one, or the model is not valid under it"),
     (PLUMBLINE_DAMAGED, c"the served text is not that of the model that its header names"),

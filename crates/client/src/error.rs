@@ -12,8 +12,9 @@ pub enum Error {
     /// No daemon, another layout of its messages, or shared memory that failed.
     #[error(transparent)]
     Ipc(#[from] IpcError),
-    /// The daemon that was followed has ended. The model stays, and the next daemon is followed.
-    #[error("the daemon of robot `{robot}` has ended; the last model is kept")]
+    /// The daemon that was followed has ended, or has sent nothing for 5 s (it sends every second): the link to another machine is down. The
+    /// model stays, and the daemon is followed again when it sends, or the next one.
+    #[error("the daemon of robot `{robot}` has ended, or sends nothing; the last model is kept")]
     DaemonGone {
         /// Its robot.
         robot: String,

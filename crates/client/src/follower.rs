@@ -114,7 +114,7 @@ impl Follower {
     /// a model ready takes milliseconds.
     ///
     /// # Errors
-    /// The loop keeps its model after every error. [`Error::DaemonGone`] until a daemon runs again; [`Error::OtherRobot`],
+    /// The loop keeps its model after every error. [`Error::DaemonGone`] until a daemon sends again; [`Error::OtherRobot`],
     /// [`Error::OtherMounting`], [`Error::Damaged`], [`Error::Input`], [`Error::Ipc`] once per refused model.
     pub fn poll(&mut self) -> Result<Vec<Change>, Error> {
         while self.retired.pop().is_ok() {}

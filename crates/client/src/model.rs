@@ -29,7 +29,7 @@ pub struct Status {
     pub model: u64,
     /// Validity of the daemon's model by its last message; [`Validity::Valid`] for a file.
     pub validity: Validity,
-    /// Time since the follower last found the daemon running \[ns\]; 0 for a file. A model stays usable when the daemon has ended, but
+    /// Time since the follower last found the daemon running \[ns\] (on another machine it finds the end after 5 s); 0 for a file. A model stays usable when the daemon has ended, but
     /// nothing contradicts it any more.
     pub age_ns: u64,
 }

@@ -6,13 +6,14 @@ use std::time::{Duration, Instant};
 use iceoryx2::port::subscriber::Subscriber;
 use iceoryx2::prelude::*;
 
+use super::clock::{self, StampClock};
 use super::error::IpcError;
 use super::messages::FeedForwardMessage;
 use super::robot::RobotId;
 use super::services::{self, boot_ns};
 use plumbline_core::Validity;
 
-/// Maximum time stamp in the future \[ns\]; a later one is not from this machine's clock.
+/// Maximum time stamp in the future \[ns\]; a later one is not of the clock that its value names.
 const CLOCK_SLACK_NS: u64 = 1_000_000;
 /// Maximum values read in one call; the buffer holds one per daemon, running or ended.
 const VALUES_PER_CALL: usize = 4;
@@ -35,7 +36,8 @@ impl Default for FeedForwardSettings {
 pub struct Latest {
     /// The value.
     pub message: FeedForwardMessage,
-    /// Age: time since the state of this value was read \[ns\].
+    /// Age: time since the state of this value was read \[ns\]. Of a daemon with another clock ([`FeedForwardMessage::clock`]: another machine) it
+    /// is the age beyond that of the fastest transit of the last 5 to 10 s of values.
     pub age_ns: u64,
     /// Whether it is older than [`FeedForwardSettings::stale_after_ms`].
     pub stale: bool,
@@ -64,6 +66,7 @@ pub enum Presence {
 pub struct FeedForwardClient {
     settings: FeedForwardSettings,
     newest: Option<FeedForwardMessage>,
+    clock: StampClock,
     rejected: u64,
     subscriber: Subscriber<ipc_threadsafe::Service, FeedForwardMessage, ()>,
     service: services::FeedForwardForThreads,
@@ -93,11 +96,12 @@ impl FeedForwardClient {
         let subscriber = services::retry_until(&name, timeout.saturating_sub(start.elapsed()), || {
             Ok(service.subscriber_builder().buffer_size(1).create())
         })?;
-        Ok(FeedForwardClient { settings, newest: None, rejected: 0, subscriber, service, node })
+        let clock = StampClock::new(clock::identity());
+        Ok(FeedForwardClient { settings, newest: None, clock, rejected: 0, subscriber, service, node })
     }
 
-    /// The latest value with its current age; `None` before the first. The same value is returned until a newer one
-    /// arrives, and becomes stale.
+    /// The latest value with its current age; `None` before the first, and before the second of a daemon with another clock. The same value
+    /// is returned until a newer one arrives, and becomes stale.
     ///
     /// # Errors
     /// [`IpcError::Transport`] when shared memory failed.
@@ -106,26 +110,30 @@ impl FeedForwardClient {
             let received = self.subscriber.receive();
             let received = received.map_err(|error| services::transport("reading", "feed-forward", error))?;
             let Some(sample) = received else { break };
-            let message = *sample.payload();
-            if supersedes(&message, self.newest.as_ref(), boot_ns()) {
+            let (message, now) = (*sample.payload(), boot_ns());
+            let is_future =
+                !self.clock.is_foreign(message.clock) && message.stamp_ns > now.saturating_add(CLOCK_SLACK_NS);
+            if !is_future && supersedes(&message, self.newest.as_ref()) {
+                self.clock.take(message.clock, message.stamp_ns, now);
                 self.newest = Some(message);
             } else {
                 self.rejected += 1;
             }
         }
         let now = boot_ns();
-        Ok(self.newest.map(|message| {
-            let age_ns = now.saturating_sub(message.stamp_ns);
-            Latest::at(message, age_ns, self.settings)
+        Ok(self.newest.and_then(|message| {
+            let age_ns = self.clock.age_ns(message.stamp_ns, now)?;
+            Some(Latest::at(message, age_ns, self.settings))
         }))
     }
 
-    /// Number of rejected values: invalid, older than the one before, or from another machine's clock.
+    /// Number of rejected values: invalid, older than the one before, or with a stamp in the future.
     pub fn rejected(&self) -> u64 {
         self.rejected
     }
 
-    /// Whether the daemon's process runs. Reads files: call it when a value is stale, not in a control loop.
+    /// Whether the daemon's process runs; on another machine, whether that of the tunnel does. Reads files: call it when a value is stale, not in
+    /// a control loop.
     pub fn daemon(&self) -> Presence {
         let mut state = Presence::Gone;
         self.service.dynamic_config().list_publishers(|details| {
@@ -138,15 +146,14 @@ impl FeedForwardClient {
     }
 }
 
-/// Whether `message` is valid and newer than `newest`. Time stamps increase across restarts of the daemon, sequence numbers
+/// Whether `message` is valid and newer than `newest`. Time stamps of one clock increase across restarts of the daemon, sequence numbers
 /// within one epoch.
-fn supersedes(message: &FeedForwardMessage, newest: Option<&FeedForwardMessage>, now_ns: u64) -> bool {
-    if message.check().is_err() || message.stamp_ns > now_ns.saturating_add(CLOCK_SLACK_NS) {
-        return false;
-    }
-    newest.is_none_or(|old| {
-        message.stamp_ns >= old.stamp_ns && (message.epoch != old.epoch || message.sequence > old.sequence)
-    })
+fn supersedes(message: &FeedForwardMessage, newest: Option<&FeedForwardMessage>) -> bool {
+    let is_newer = |old: &FeedForwardMessage| {
+        message.clock != old.clock
+            || message.stamp_ns >= old.stamp_ns && (message.epoch != old.epoch || message.sequence > old.sequence)
+    };
+    message.check().is_ok() && newest.is_none_or(is_newer)
 }
 
 #[cfg(test)]
@@ -170,19 +177,20 @@ mod tests {
         let old =
             FeedForwardMessage { sequence: 5, stamp_ns: now - 10, epoch: 1, n: 7, ..FeedForwardMessage::default() };
         let newer = FeedForwardMessage { sequence: 6, stamp_ns: now - 5, ..old };
-        assert!(supersedes(&old, None, now));
-        assert!(supersedes(&newer, Some(&old), now));
-        assert!(!supersedes(&old, Some(&newer), now));
-        assert!(!supersedes(&newer, Some(&newer), now));
+        assert!(supersedes(&old, None));
+        assert!(supersedes(&newer, Some(&old)));
+        assert!(!supersedes(&old, Some(&newer)));
+        assert!(!supersedes(&newer, Some(&newer)));
 
         let restarted = FeedForwardMessage { sequence: 1, epoch: 2, stamp_ns: now, ..old };
-        assert!(supersedes(&restarted, Some(&newer), now));
+        assert!(supersedes(&restarted, Some(&newer)));
         let left_over = FeedForwardMessage { sequence: 1, epoch: 2, stamp_ns: now - 20, ..old };
-        assert!(!supersedes(&left_over, Some(&newer), now));
+        assert!(!supersedes(&left_over, Some(&newer)));
 
-        let foreign = FeedForwardMessage { stamp_ns: now + 2 * CLOCK_SLACK_NS, ..newer };
-        assert!(!supersedes(&foreign, Some(&old), now));
-        assert!(!supersedes(&FeedForwardMessage { phase: 99, ..newer }, Some(&old), now));
-        assert!(!supersedes(&FeedForwardMessage { n: 9, ..newer }, Some(&old), now));
+        // The daemon's machine was started again: its clock begins anew.
+        let rebooted = FeedForwardMessage { clock: 3, ..left_over };
+        assert!(supersedes(&rebooted, Some(&newer)));
+        assert!(!supersedes(&FeedForwardMessage { phase: 99, ..newer }, Some(&old)));
+        assert!(!supersedes(&FeedForwardMessage { n: 9, ..newer }, Some(&old)));
     }
 }

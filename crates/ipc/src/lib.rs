@@ -33,6 +33,7 @@
 
 mod arm_lock;
 mod client;
+mod clock;
 mod command;
 mod error;
 mod error_counts;

@@ -175,8 +175,9 @@ pub struct FeedForwardMessage {
     pub gravity_vendor: [f64; 3],
     /// [`Validity`] as a number.
     pub validity: u32,
-    /// Always 0.
-    pub reserved: u32,
+    /// Identity of the clock of `stamp_ns`: of boot and time namespace, 0 where it is unknown. Ages by another clock than the own one are
+    /// estimates. Set by [`Server`](super::Server).
+    pub clock: u32,
 }
 
 impl FeedForwardMessage {
@@ -197,7 +198,7 @@ impl FeedForwardMessage {
             tau_vendor: record.command.tau_vendor.0,
             gravity_vendor,
             validity: record.validity as u32,
-            reserved: 0,
+            clock: 0,
         }
     }
 
@@ -423,6 +424,7 @@ mod tests {
         assert_eq!(offset_of!(FeedForwardMessage, tau_vendor), 256);
         assert_eq!(offset_of!(FeedForwardMessage, gravity_vendor), 320);
         assert_eq!(offset_of!(FeedForwardMessage, validity), 344);
+        assert_eq!(offset_of!(FeedForwardMessage, clock), 348);
 
         assert_eq!((size_of::<ModelHeader>(), align_of::<ModelHeader>()), (88, 8));
         assert_eq!(offset_of!(ModelHeader, validity), 4);

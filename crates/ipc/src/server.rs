@@ -11,6 +11,7 @@ use iceoryx2::port::{DegradationAction, DegradationCause, DegradationFn};
 use iceoryx2::prelude::*;
 use serde::Deserialize;
 
+use super::clock;
 use super::command::{MAX_RESPONSE_BYTES, Request, Response, Served};
 use super::error::IpcError;
 use super::error_counts::ErrorCounts;
@@ -30,6 +31,8 @@ const REPLAYS_PER_POLL: usize = 8;
 const INITIAL_MODEL_BYTES: usize = 64 << 10;
 /// Interval between two heartbeat checks of the followers \[ns\].
 const CHECK_INTERVAL_NS: u64 = 250_000_000;
+/// Interval at which the message of the model is sent again \[ns\].
+const MODEL_INTERVAL_NS: u64 = 1_000_000_000;
 
 /// Settings of the server: retained records and heartbeat timeout.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
@@ -53,6 +56,8 @@ impl Default for ServerSettings {
 /// No method blocks or fails because of a client. Errors of shared memory are counted and reported in [`Served`].
 pub struct Server {
     epoch: u64,
+    /// Identity of the clock of stamps.
+    clock: u32,
     settings: ServerSettings,
     log: RetainedLog,
     followers: Followers,
@@ -66,8 +71,10 @@ pub struct Server {
     samples: Publisher<ipc::Service, [SampleMessage], ()>,
     feed_forward: Publisher<ipc::Service, FeedForwardMessage, ()>,
     model: Publisher<ipc::Service, [u8], ModelHeader>,
-    /// Number of the last message of the model.
-    models: u64,
+    /// The last message of the model, and when it was sent.
+    model_header: ModelHeader,
+    model_text: String,
+    model_sent_ns: u64,
     replay: RequestServer<ipc::Service, FollowRequest, (), [SampleMessage], ReplayHeader>,
     requests: Requests,
     replay_service: services::Replay,
@@ -132,6 +139,7 @@ impl Server {
         let epoch = new_epoch();
         let mut server = Server {
             epoch,
+            clock: clock::identity(),
             log: RetainedLog::new(settings.retain),
             settings,
             followers: Followers::default(),
@@ -143,7 +151,9 @@ impl Server {
             samples,
             feed_forward,
             model,
-            models: 0,
+            model_header: ModelHeader::default(),
+            model_text: String::new(),
+            model_sent_ns: 0,
             replay,
             requests: Requests::new(commands),
             replay_service,
@@ -186,11 +196,15 @@ impl Server {
         self.counters.given_up_unacknowledged += self.log.first().saturating_sub(unacknowledged_from);
     }
 
-    /// Publishes the latest feed-forward value. Sets its `sequence` and `epoch`, and converts its stamp to `CLOCK_BOOTTIME`.
+    /// Publishes the latest feed-forward value. Sets its `sequence` and `epoch`, and its `clock` unless it has one (from a relay); converts
+    /// its stamp to `CLOCK_BOOTTIME`.
     pub fn feed_forward(&mut self, mut message: FeedForwardMessage) {
         self.counters.feed_forward += 1;
         message.sequence = self.counters.feed_forward;
         message.epoch = self.epoch;
+        if message.clock == 0 {
+            message.clock = self.clock;
+        }
         message.stamp_ns = message.stamp_ns.saturating_add(services::suspended_ns());
         if let Err(error) = self.feed_forward.send_copy(message) {
             self.report_error("feed-forward", error.to_string());
@@ -198,11 +212,18 @@ impl Server {
     }
 
     /// Publishes the served model: identity, gravity and validity in `header`, and the text of its file. Sets layout, epoch, sequence and
-    /// stamp. Clients that connect later receive it, too.
+    /// stamp. Clients that connect later receive it, too. [`Server::serve`] sends it again every second.
     pub fn model(&mut self, mut header: ModelHeader, text: &str) {
-        self.models += 1;
-        (header.layout, header.epoch, header.sequence) = (LAYOUT, self.epoch, self.models);
+        (header.layout, header.epoch, header.sequence) = (LAYOUT, self.epoch, self.model_header.sequence + 1);
         header.stamp_ns = services::boot_ns();
+        self.model_header = header;
+        text.clone_into(&mut self.model_text);
+        self.send_model();
+    }
+
+    fn send_model(&mut self) {
+        self.model_sent_ns = now_ns();
+        let (header, text) = (self.model_header, &self.model_text);
         // Memory that grows is not reserved: the kernel ends a process that writes to a segment without memory (SIGBUS).
         let full = runtime_dir::shared_memory_full().filter(|_| text.len() > INITIAL_MODEL_BYTES);
         let sent = full.map_or(Ok(()), Err).and_then(|()| {
@@ -216,9 +237,13 @@ impl Server {
         }
     }
 
-    /// Hands the served model to clients that connected since it was published: iceoryx2 does it when the publisher sends or is asked to, and
-    /// a model is sent when it changes.
-    fn connect_model_clients(&mut self) {
+    /// Hands the served model to clients that connected since it was published: iceoryx2 does it when the publisher sends or is asked to.
+    /// Sends it again once a second: a tunnel connects its far end after it has read the model here, and followers there have no other sign that
+    /// the daemon runs.
+    fn serve_model(&mut self) {
+        if now_ns().saturating_sub(self.model_sent_ns) >= MODEL_INTERVAL_NS {
+            return self.send_model();
+        }
         if let Err(error) = self.model.update_connections() {
             self.report_error("model", format!("{error:?}"));
         }
@@ -251,7 +276,7 @@ impl Server {
         max_heavy: usize,
         answer: impl FnMut(IncomingRequest, &Served) -> Option<Response>,
     ) -> usize {
-        self.connect_model_clients();
+        self.serve_model();
         self.poll_replay();
         self.check_followers();
         self.report_failed_connections();

@@ -31,7 +31,7 @@ classes! {
     Incompatible: "The daemon's messages have another layout.",
     Full: "No slot is left for another client.",
     TransportError: "Shared memory failed.",
-    DaemonGone: "The followed daemon has ended; the last model is kept.",
+    DaemonGone: "The followed daemon has ended, or sends nothing; the last model is kept.",
     OtherRobot: "The daemon serves a model of another robot than expected.",
     OtherMounting: "Gravity is not the expected one, or the model is not valid under it.",
     Damaged: "The served text is not that of the model that its header names.",

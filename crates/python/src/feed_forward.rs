@@ -87,7 +87,8 @@ impl Torque {
         }
     }
 
-    /// Time from the arm's state to the call that returned this value [s].
+    /// Time from the arm's state to the call that returned this value [s]; of a daemon on another machine, the part beyond the fastest transit of
+    /// the last 5 to 10 s of values.
     #[getter]
     fn age(&self) -> f64 {
         self.0.age_ns as f64 * 1e-9
@@ -142,13 +143,13 @@ impl FeedForward {
         connected.map(FeedForward).map_err(|error| errors::ipc(&error))
     }
 
-    /// The latest value with its present age, None before the first. The same value is returned until a newer one arrives.
+    /// The latest value with its present age, None before the first, and before the second of a daemon on another machine. The same value is returned until a newer one arrives.
     fn latest(&self, py: Python<'_>) -> PyResult<Option<Torque>> {
         let latest = py.detach(|| locked(&self.0).latest());
         latest.map(|latest| latest.map(Torque)).map_err(|error| errors::ipc(&error))
     }
 
-    /// Whether the daemon's process runs. Reads files.
+    /// Whether the daemon's process (on another machine: the tunnel's) runs. Reads files.
     #[getter]
     fn running(&self, py: Python<'_>) -> bool {
         py.detach(|| locked(&self.0).daemon() == Presence::Running)

@@ -39,7 +39,7 @@ class FeedForwardMessage(ctypes.Structure):
         ("tau_vendor", ctypes.c_double * MAX_JOINTS),  # what the arm's own controller adds: it is sent tau_ff - tau_vendor [Nm]
         ("gravity_vendor", ctypes.c_double * 3),  # gravitational acceleration that the arm's own controller compensates [m/s2]
         ("validity", ctypes.c_uint32),  # what stands behind the torque, see VALIDITIES
-        ("reserved", ctypes.c_uint32),  # always 0
+        ("clock", ctypes.c_uint32),  # identity of the clock of stamp_ns, see own_clock; 0: unknown
     ]
 
     @staticmethod
@@ -49,6 +49,19 @@ class FeedForwardMessage(ctypes.Structure):
 
 
 assert ctypes.sizeof(FeedForwardMessage) == 352
+
+
+def own_clock() -> int:
+    """Identity of this process's CLOCK_BOOTTIME, as in plumbline's crates/ipc/src/clock.rs: FNV-1a of boot and time namespace, 0 if unknown."""
+    try:
+        with open("/proc/sys/kernel/random/boot_id", "rb") as boot:
+            text = boot.read().rstrip() + os.readlink("/proc/self/ns/time").encode()
+    except OSError:
+        return 0
+    identity = 0x811C9DC5
+    for byte in text:
+        identity = (identity ^ byte) * 0x01000193 & 0xFFFFFFFF
+    return max(identity, 1)
 
 
 def place() -> str:
@@ -123,7 +136,7 @@ def main() -> int:
     options = parser.parse_args()
 
     _node, _service, subscriber = connect(options.robot, options.wait)
-    printed, last, warned = 0, None, False
+    printed, last, warned, clock = 0, None, False, own_clock()
     while options.count == 0 or printed < options.count:
         message = newest(subscriber)
         if message is None:
@@ -137,6 +150,8 @@ def main() -> int:
             continue
         if message.n > MAX_JOINTS or message.phase >= len(PHASES) or message.validity >= len(VALIDITIES):
             sys.exit("this is not what a plumbline daemon sends")
+        if 0 not in (message.clock, clock) and message.clock != clock:
+            sys.exit("the daemon's stamps are of another machine's clock: the package `plumbline` estimates ages by it")
         if last is not None and message.epoch != last.epoch:
             print("the daemon was started anew", flush=True)
         age_ms = (time.clock_gettime_ns(time.CLOCK_BOOTTIME) - message.stamp_ns) / 1e6

@@ -217,7 +217,8 @@ fn a_feed_forward_value_becomes_stale_and_the_end_of_the_daemon_is_detected() {
         value.send(sent).unwrap();
         wait_for("the value", || client.latest().unwrap().is_some_and(|seen| seen.message.sequence == cycle));
         let seen = client.latest().unwrap().unwrap();
-        assert_eq!(FeedForwardMessage { sequence: 0, epoch: 0, ..seen.message }, sent);
+        let FeedForwardMessage { sequence, epoch, clock, .. } = seen.message;
+        assert_eq!(seen.message, FeedForwardMessage { sequence, epoch, clock, ..sent });
         assert!(!seen.stale && seen.usable);
     }
     std::thread::sleep(Duration::from_millis(6));

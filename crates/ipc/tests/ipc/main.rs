@@ -1,5 +1,6 @@
 //! Tests of the crate with several processes and threads.
 
+mod clock;
 mod exchange;
 mod foreign_files;
 mod kill;
