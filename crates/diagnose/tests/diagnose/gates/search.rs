@@ -288,6 +288,32 @@ fn without_repeats_an_effect_has_to_take_a_fifth_of_a_joints_error_away() {
 }
 
 #[test]
+fn without_repeats_a_change_of_friction_within_a_run_has_to_take_half_of_its_joints_error() {
+    let spec = Spec { family: "friction-change", form: "", site: Site::Joint(1), settings: vec![] };
+    let settings = Settings::default();
+    let mut seen = Vec::new();
+    for size in [0.03, 0.04, 0.05, 0.06, 0.08, 0.1] {
+        let more = |at: &At| [0.0, if at.t < 10.0 { 0.0 } else { size * (100.0 * at.dq[1]).tanh() }];
+        once(20.0, 12, more).search(&[], &settings, |search, base| {
+            let evidence = search.problem.evidence;
+            let item = Candidate::of(evidence, search.operating_point, spec.clone(), Span::since(10.0)).unwrap();
+            let library = [item];
+            let search = Search { library: &library, ..*search };
+            let scored = search.propose(base, |_| true).into_iter().next().unwrap();
+            let folds = plumbline_diagnose::folds(&search.problem, base, &scored.tried);
+            let taken = !search.forward(base.clone(), &[], &|_| {}).state.items.is_empty();
+            println!("change of {size} Nm: score {}, {folds:?}, taken {taken}", scored.score);
+            // Everything else speaks for it, and it would do for an effect of the whole run.
+            if folds.hold(evidence.folds().len(), scored.penalty, settings.least_share_left_out) {
+                assert_eq!(taken, folds.share >= 0.5, "{folds:?}");
+                seen.push(taken);
+            }
+        });
+    }
+    assert!(seen.contains(&true) && seen.contains(&false), "{seen:?}");
+}
+
+#[test]
 fn what_an_effect_can_not_be_is_no_candidate() {
     let family: [&'static Family; 1] = [&joint_elasticity::FAMILY];
     let form = &joint_elasticity::FAMILY.forms[0];

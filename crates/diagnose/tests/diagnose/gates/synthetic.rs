@@ -34,6 +34,8 @@ pub struct At {
     pub t: f64,
     /// Positions \[rad\].
     pub q: [f64; 2],
+    /// Velocities \[rad/s\].
+    pub dq: [f64; 2],
 }
 
 /// Trajectories of the arm, prepared.
@@ -168,7 +170,8 @@ fn along_in_noise(motions: &[Motion], seed: u64, noise: [f64; 2], added: impl Fn
         let mut tau = DMatrix::zeros(rows, 2);
         for row in 0..rows {
             let k = row % samples;
-            let at = At { trajectory, k, t: k as f64 * DT, q: [motion.q[(k, 0)], motion.q[(k, 1)]] };
+            let [q, dq] = [&motion.q, &motion.dq].map(|of| [of[(k, 0)], of[(k, 1)]]);
+            let at = At { trajectory, k, t: k as f64 * DT, q, dq };
             let more = added(&at);
             for j in 0..2 {
                 tau[(row, j)] =
