@@ -121,9 +121,14 @@ impl Results {
         }
         // A daemon that was started again may have another clock, as that of a further round has.
         let end = self.recorded.last().map_or(0.0, |last| last.run.end());
-        let first = *self.clock.get_or_insert(recorded.run.start - end);
-        recorded.run.start = f64::max(recorded.run.start - first, end);
-        tracing::info!("{} was recorded: {} samples", recorded.run.data.name, recorded.run.samples());
+        let began = recorded.run.start;
+        let first = *self.clock.get_or_insert(began - end);
+        recorded.run.start = f64::max(began - first, end);
+        tracing::info!(
+            "{} was recorded: {} samples, the first at {began:.3} s of the arm's clock",
+            recorded.run.data.name,
+            recorded.run.samples()
+        );
         self.recorded.push(recorded);
     }
 

@@ -8,12 +8,10 @@ use rand::seq::IndexedRandom;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::ops::Range;
-use std::path::Path;
 use std::sync::Mutex;
-use toml::Table;
 
 /// Two motions of five periods to find the step in, two unseen ones, one of which decides.
-const JOB: [&str; 3] = ["excitation.trajectories=2", "validation.trajectories=2", "output.dataset=true"];
+const JOB: [&str; 2] = ["excitation.trajectories=2", "validation.trajectories=2"];
 /// When steps come, on the arm's clock: within the two motions to identify from, their pause included \[s\].
 const TIMES_S: Range<f64> = 25.0..100.0;
 /// Most that the time of a step may be off \[s\].
@@ -67,15 +65,15 @@ fn draw(seed: u64) -> Step {
     Step { text: format!("[[effect]]\n{text}\nfrom = {from}\n"), id, joints, mass, from }
 }
 
-fn recorded(dataset: &Path) -> Vec<Recorded> {
-    let manifest: Table = std::fs::read_to_string(dataset.join("dataset.toml")).unwrap().parse().unwrap();
-    let runs = manifest["run"].as_array().unwrap().iter();
-    let identify = runs.filter(|run| run["role"].as_str() == Some("identify"));
-    let each = identify.map(|run| {
-        let name = run["file"].as_str().unwrap().to_string();
-        let start = run["start"].as_float().expect("jobs rest before every motion");
-        let samples = std::fs::read_to_string(dataset.join(&name)).unwrap().lines().count() - 1;
-        (name, start..start + 1e-3 * samples as f64)
+/// From the log: `identify-upright.csv was recorded: 40000 samples, the first at 12.345 s of the arm's clock`.
+fn recorded(log: &str) -> Vec<Recorded> {
+    let each = log.lines().filter_map(|line| {
+        let (before, after) = line.split_once(" was recorded: ")?;
+        let name = before.split_whitespace().last()?;
+        let (samples, after) = after.split_once(" samples, the first at ")?;
+        let start: f64 = after.split_once(" s of")?.0.parse().ok()?;
+        let length = 1e-3 * samples.parse::<f64>().ok()?;
+        name.starts_with("identify").then(|| (name.to_string(), start..start + length))
     });
     each.collect()
 }
@@ -104,7 +102,7 @@ fn judge(seed: u64) -> Judged {
     let base = plumbline_testkit::path("config/arms/sim-panda.toml");
     std::fs::write(&arm, format!("base = \"{}\"\n{}", base.display(), step.text)).unwrap();
     let mut command = plumbline();
-    command.args(["run", "config/demo-payload.toml", "--out"]).arg(place.out());
+    command.args(["run", "--verbose", "config/demo-payload.toml", "--out"]).arg(place.out());
     let sets = [format!("serve.id={}", place.id), format!("backend.arm={}", arm.display())];
     let seeds = ["backend", "excitation", "validation"].map(|key| format!("{key}.seed={seed}"));
     for set in sets.iter().chain(&seeds).map(String::as_str).chain(JOB) {
@@ -114,7 +112,7 @@ fn judge(seed: u64) -> Judged {
     let report: Report = place.report();
     let diagnosis = report.diagnosis.unwrap_or_else(|| panic!("no diagnosis: {}", done.output()));
     let found = diagnosis.effects.iter().find(|effect| effect.id == step.id && effect.joints == step.joints);
-    let off = found.and_then(|effect| time_error(effect, &step, &recorded(&place.out().join("dataset"))));
+    let off = found.and_then(|effect| time_error(effect, &step, &recorded(&done.err)));
     let mass = found.zip(step.mass).and_then(|(effect, truth)| {
         let mass = effect.parameters.0.iter().find(|own| own.name == "mass")?;
         Some(((mass.value - truth) / mass.std?, (mass.value - truth) / truth))
