@@ -9,6 +9,7 @@ pub mod guest;
 pub mod inclinometer;
 mod resource;
 mod sets;
+pub mod sim;
 
 pub use franka::Franka;
 pub use guest::Guest;
