@@ -10,7 +10,7 @@ use plumbline_core::{JointVec, Phase, Record};
 pub struct Recorded {
     pub number: u32,
     pub role: Role,
-    /// The samples after the lead-in; the served torque is in the further columns `tau_ff1` to `tau_ffn`.
+    /// The samples after the lead-in, named after the motion; the served torque is in the further columns `tau_ff1` to `tau_ffn`.
     pub run: Run,
     /// Whether the recording is complete but for states that the arm lost: no record before the first one, after the last one, or
     /// in between was dropped by the daemon.
@@ -144,8 +144,8 @@ impl Collector {
             count as f64 * motion.sample_period()
         };
         let name = match part {
-            1 => format!("{}.csv", motion.name),
-            part => format!("{}-part-{part}.csv", motion.name),
+            1 => motion.name.clone(),
+            part => format!("{}-part-{part}", motion.name),
         };
         let data = plumbline_identify::Run {
             name,
@@ -274,19 +274,16 @@ mod tests {
     fn an_unplanned_motion_is_divided_where_states_are_missing_and_loses_nothing() {
         let named = |name: &str, samples, complete, ends| (name.to_string(), samples, complete, ends);
         let whole = (0..5000).map(|k| (1, k, 100 + k)).chain((0..3000).map(|k| (2, k, 5100 + k)));
-        assert_eq!(
-            listened(whole),
-            [named("identify-1.csv", 5000, true, true), named("identify-2.csv", 3000, true, true)]
-        );
+        assert_eq!(listened(whole), [named("identify-1", 5000, true, true), named("identify-2", 3000, true, true)]);
         // A long gap after 2500 samples, a short one of three states, and the end of the recording in the second motion.
         let gaps = (0..2500).map(|k| (1, k, k)).chain((2500..4000).map(|k| (1, k, k + 900)));
         let gaps = gaps.chain((4003..5000).map(|k| (1, k, k + 900))).chain((0..700).map(|k| (2, k, 5900 + k)));
         assert_eq!(
             listened(gaps),
             [
-                named("identify-1.csv", 2500, true, false),
-                named("identify-1-part-2.csv", 2497, true, true),
-                named("identify-2.csv", 700, false, true),
+                named("identify-1", 2500, true, false),
+                named("identify-1-part-2", 2497, true, true),
+                named("identify-2", 700, false, true),
             ]
         );
     }

@@ -223,7 +223,7 @@ pub fn figure_in_band(model: &TorqueModel, run: &Run, settings: &Settings) -> Re
 }
 
 fn title(run: &Run) -> String {
-    run.data.name.replace(".csv", "")
+    crate::dataset::stem(&run.data.name).to_string()
 }
 
 /// Times of the samples since the start of the recording, of a periodic run since the start of a period \[s\].

@@ -115,10 +115,11 @@ impl Results {
     }
 
     pub fn take(&mut self, mut recorded: Recorded) {
+        let name = &mut recorded.run.data.name;
         if !self.rounds.is_empty() {
-            let name = recorded.run.data.name.trim_end_matches(".csv");
-            recorded.run.data.name = format!("{name}-round-{}.csv", self.rounds.len() + 1);
+            name.push_str(&format!("-round-{}", self.rounds.len() + 1));
         }
+        name.push_str(self.job.output.dataset_format.ending());
         // A daemon that was started again may have another clock, as that of a further round has.
         let end = self.recorded.last().map_or(0.0, |last| last.run.end());
         let began = recorded.run.start;

@@ -27,7 +27,9 @@ enum Action {
     Start,
     /// Controlled stop; the arm then stays at rest
     Stop,
-    /// Allow motion again after a stop
+    /// Brake the arm; `resume` drives the interrupted motion from its start, then the rest of the job
+    Pause,
+    /// Allow motion again after a stop, go on after a pause
     Resume,
     /// Stop, then end the daemon
     Quit,
@@ -49,6 +51,7 @@ pub fn run(options: Options) -> Result<(), Failure> {
     let request = match options.action {
         Action::Stop => return stop(&id),
         Action::Start => Request::Start {},
+        Action::Pause => Request::Pause {},
         Action::Resume => Request::Resume {},
         Action::Quit => Request::Quit {},
         Action::Adopt => Request::Adopt {},
@@ -99,6 +102,7 @@ fn words(status: &Status) -> Vec<String> {
         Progress::Idle => "not started",
         Progress::Driving => "driving",
         Progress::AwaitingModel => "holding until the estimator gives a model",
+        Progress::Paused => "paused until `resume`",
         Progress::Done => "everything was driven",
         Progress::Stopped => "stopped",
     };

@@ -9,6 +9,7 @@ pub mod guest;
 pub mod inclinometer;
 mod resource;
 mod sets;
+pub mod sim;
 
 pub use franka::Franka;
 pub use guest::Guest;
@@ -16,6 +17,7 @@ pub use inclinometer::{Inclinometer, MountingCheck};
 pub use resource::Resource;
 
 use super::units;
+use crate::dataset::Format;
 use plumbline_core::{BadInput, PERIOD_S};
 use plumbline_excite::{Criterion, Margins};
 use plumbline_identify::{Derivative, Method, solve};
@@ -439,11 +441,13 @@ pub struct Output {
     pub dir: PathBuf,
     /// Whether the recorded motions are kept as a dataset.
     pub dataset: bool,
+    /// Format of the dataset's runs.
+    pub dataset_format: Format,
 }
 
 impl Default for Output {
     fn default() -> Output {
-        Output { dir: PathBuf::from("results"), dataset: true }
+        Output { dir: PathBuf::from("results"), dataset: true, dataset_format: Format::Csv }
     }
 }
 

@@ -3,6 +3,7 @@
 //! They hold keys, types, choices and units. Ranges, and keys that go together, are checked by the program alone.
 
 use super::job::Job;
+use super::job::sim::TruthFile;
 use plumbline_model::RobotFile;
 use schemars::generate::SchemaSettings;
 use schemars::transform::{Transform, transform_subschemas};
@@ -10,8 +11,8 @@ use schemars::{JsonSchema, Schema};
 use serde_json::Value;
 
 /// Name and schema of every kind of file.
-pub fn schemas() -> [(&'static str, Schema); 2] {
-    [("job", of::<Job>()), ("robot", of::<RobotFile>())]
+pub fn schemas() -> [(&'static str, Schema); 3] {
+    [("job", of::<Job>()), ("robot", of::<RobotFile>()), ("arm", of::<TruthFile>())]
 }
 
 fn of<T: JsonSchema>() -> Schema {

@@ -196,8 +196,16 @@ impl Daemon {
                 self.service.long_step(CONNECTION);
                 let session = Session::open(self, place.clone(), stage.mounting, Purpose::Drive, script)?;
                 self.service.status(&format!("moving; mounted {place}"));
+                let end = self.run_session(session)?;
+                if self.state.is_paused() && !self.state.must_quit() {
+                    self.hold(stage.mounting)?;
+                    if std::mem::take(&mut self.state.programme.continues) {
+                        self.state.stops.stopped = None;
+                        continue;
+                    }
+                }
                 // Interrupted: once more, unless the arm was stopped meanwhile.
-                if self.run_session(session)? == SessionEnd::Completed || self.state.is_over() {
+                if end == SessionEnd::Completed || self.state.is_over() {
                     break;
                 }
             }

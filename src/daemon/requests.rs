@@ -31,6 +31,7 @@ impl DaemonState {
                 self.stop(controls);
                 Response::Accepted {}
             }
+            Request::Pause {} => self.pause(controls),
             Request::Resume {} => self.resume(controls),
             Request::Record {} if controls.is_none() => {
                 refused("the arm is not connected, so there is nothing to record")
@@ -117,7 +118,36 @@ impl DaemonState {
         Response::Accepted {}
     }
 
+    /// Brakes the arm by the way of a stop, and keeps what was driven: `resume` drives the rest.
+    fn pause(&mut self, controls: Option<&Controls>) -> Response {
+        if !matches!(self.programme.progress, Progress::Driving | Progress::AwaitingModel) || self.setup.listens() {
+            return refused("nothing is being driven that could be paused");
+        }
+        if self.stops.barred {
+            return refused("the arm was stopped");
+        }
+        tracing::info!(plumbline_event = "pause", "a pause was requested");
+        self.stop(controls);
+        self.programme.progress = Progress::Paused;
+        Response::Accepted {}
+    }
+
     fn resume(&mut self, controls: Option<&Controls>) -> Response {
+        let paused = self.programme.progress == Progress::Paused;
+        if paused && let Some(refusal) = self.gravity.refusal() {
+            return refused(refusal);
+        }
+        let response = self.permit(controls);
+        if paused && response == (Response::Accepted {}) {
+            self.programme.progress = Progress::Driving;
+            self.programme.continues = true;
+            self.programme.start_due_ns = now_ns().saturating_add(REST_TIMEOUT_NS);
+        }
+        response
+    }
+
+    /// Lifts a stop of an arm at rest.
+    fn permit(&mut self, controls: Option<&Controls>) -> Response {
         if controls.is_some_and(Controls::resume) {
             self.stops.barred = false;
             return Response::Accepted {};

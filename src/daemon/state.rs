@@ -19,6 +19,8 @@ use plumbline_rt::{Controls, Event, StopReason};
 pub struct ProgrammeState {
     pub progress: Progress,
     pub start: bool,
+    /// A paused programme was resumed, and the next connection drives the rest of it.
+    pub continues: bool,
     /// Until when a start waits for the model's check at rest \[ns\].
     pub start_due_ns: u64,
     pub ended: Vec<u32>,
@@ -130,10 +132,15 @@ impl DaemonState {
         self.must_quit() || self.stops.barred || self.programme.progress == Progress::Stopped
     }
 
-    /// Whether the present connection is to end: for good, or to start the programme.
+    /// Whether the programme was interrupted by a pause, and a further connection drives the rest of it.
+    pub fn is_paused(&self) -> bool {
+        self.programme.progress == Progress::Paused || self.programme.continues
+    }
+
+    /// Whether the present connection is to end: for good, or to start or continue the programme.
     pub fn must_leave(&self) -> bool {
-        let starts = self.programme.start && self.programme.progress == Progress::Idle && !self.start_awaits_rest();
-        self.must_quit() || starts
+        let starts = self.programme.start && self.programme.progress == Progress::Idle;
+        self.must_quit() || ((starts || self.programme.continues) && !self.start_awaits_rest())
     }
 
     /// Whether a start waits for the arm's rest: under torque control the model alone holds the arm, and is not checked yet.
@@ -172,8 +179,14 @@ impl DaemonState {
             // Between two connections: the interrupted motion is not driven again.
             self.programme.progress = Progress::Stopped;
         }
-        if self.programme.progress == Progress::Idle {
-            self.programme.start = false;
+        match self.programme.progress {
+            Progress::Idle => self.programme.start = false,
+            Progress::Paused => self.programme.progress = Progress::Stopped,
+            _ => {}
+        }
+        if std::mem::take(&mut self.programme.continues) {
+            // Resumed, and not driven yet.
+            self.programme.progress = Progress::Stopped;
         }
     }
 
@@ -306,6 +319,10 @@ impl DaemonState {
             let own = cause.filter(|_| matches!(reason, StopReason::Requested | StopReason::Quit));
             self.stops.stopped = Some(own.unwrap_or_else(|| reason.to_string()));
         }
+        if matches!(event, Event::Stopping { reason, .. } if *reason != StopReason::Requested) && self.is_paused() {
+            // Braked for another reason than the pause.
+            self.programme.progress = Progress::Stopped;
+        }
         self.log(event);
         match event {
             Event::Stopping { .. } => (self.stops.barred, self.stops.braking) = (true, true),
@@ -346,6 +363,7 @@ impl DaemonState {
                     Progress::Stopped =>
                         "what was left of the programme is not driven; start the daemon again, and give \
                         `plumbline command start`",
+                    Progress::Paused => "the programme continues after `plumbline command resume`",
                     _ => "it moves again only after `plumbline command resume`",
                 }
             ),

@@ -1,27 +1,9 @@
 //! CSV file of one run: columns by name, every cell checked.
 
-use nalgebra::DMatrix;
-use plumbline_core::{BadInput, MAX_JOINTS};
+use super::Format;
+use super::layout::{Columns, Layout, Torque};
+use plumbline_core::BadInput;
 use std::path::Path;
-
-use super::Run;
-
-/// The columns of one file, torque still in the unit of the file.
-#[derive(Debug)]
-pub(super) struct Columns {
-    pub t: Vec<f64>,
-    pub q: DMatrix<f64>,
-    pub dq: Option<DMatrix<f64>>,
-    pub tau: DMatrix<f64>,
-    pub extra: Vec<(String, Vec<f64>)>,
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Torque {
-    Required,
-    /// Without them, `Columns::tau` has no columns.
-    Optional,
-}
 
 pub(super) fn read(path: &Path, torque: Torque) -> Result<Columns, BadInput> {
     let file = path.display().to_string();
@@ -37,22 +19,9 @@ pub(super) fn parse(file: &str, bytes: &[u8], torque: Torque) -> Result<Columns,
         Ok(header) => header.iter().map(str::to_string).collect(),
         Err(error) => return Err(BadInput::new(file, "line 1", error, "a header row of column names")),
     };
-    let layout = Layout::of(file, &header, torque)?;
+    let layout = Layout::of(file, &header, torque, Format::Csv)?;
     let columns = cells(file, &header, &mut reader)?;
-    let samples = columns[layout.t].len();
-    if samples < Run::LEAST_SAMPLES {
-        let expected = format!("at least {} samples", Run::LEAST_SAMPLES);
-        return Err(BadInput::new(file, "after the header", format!("{samples} samples"), expected));
-    }
-    check_time(file, &columns[layout.t])?;
-    let matrix = |from: &[usize]| DMatrix::from_fn(samples, from.len(), |row, joint| columns[from[joint]][row]);
-    Ok(Columns {
-        q: matrix(&layout.q),
-        dq: (!layout.dq.is_empty()).then(|| matrix(&layout.dq)),
-        tau: matrix(&layout.tau),
-        extra: layout.extra.iter().map(|&column| (header[column].clone(), columns[column].clone())).collect(),
-        t: columns[layout.t].clone(),
-    })
+    layout.take(file, header, columns, Format::Csv)
 }
 
 /// The text of a CSV file, without the mark that some programs write before it. Refuses files of another form by its name.
@@ -80,68 +49,6 @@ pub(crate) fn text_of<'b>(file: &str, bytes: &'b [u8]) -> Result<&'b [u8], BadIn
         return refused("numbers and no header", "a header row of column names `t,q1,..,tau1,..`");
     }
     Ok(bytes)
-}
-
-struct Layout {
-    t: usize,
-    q: Vec<usize>,
-    dq: Vec<usize>,
-    tau: Vec<usize>,
-    extra: Vec<usize>,
-}
-
-impl Layout {
-    fn of(file: &str, header: &[String], torque: Torque) -> Result<Layout, BadInput> {
-        for (index, name) in header.iter().enumerate() {
-            if name.is_empty() || header[..index].contains(name) {
-                let place = format!("line 1, column {}", index + 1);
-                return Err(BadInput::new(file, place, format!("`{name}`"), "a unique column name"));
-            }
-        }
-        let place = |name: &str| header.iter().position(|other| other == name);
-        let missing = |name: &str, why: &str| {
-            BadInput::new(file, "line 1", format!("no column `{name}`"), format!("a column `{name}` {why}"))
-        };
-        let t = place("t").ok_or_else(|| missing("t", "with the time in s"))?;
-        // The joints are those with a position; a gap in the numbering is a missing column, not a smaller robot.
-        let highest = |stem: &str| header.iter().filter_map(|name| joint_of(name, stem)).max().unwrap_or(0);
-        let n = highest("q").max(highest("dq")).max(highest("tau"));
-        if n > MAX_JOINTS {
-            let expected = format!("at most {MAX_JOINTS} joints");
-            return Err(BadInput::new(file, "line 1", format!("columns for joint {n}"), expected));
-        }
-        let all = |stem: &str, why: &str| -> Result<Vec<usize>, BadInput> {
-            (1..=n.max(1))
-                .map(|joint| format!("{stem}{joint}"))
-                .map(|name| place(&name).ok_or_else(|| missing(&name, why)))
-                .collect()
-        };
-        let q = all("q", "with a joint position in rad")?;
-        let none = torque == Torque::Optional && highest("tau") == 0;
-        let tau = if none { Vec::new() } else { all("tau", "with a joint torque")? };
-        let dq = if highest("dq") > 0 { all("dq", "like those of the other joints")? } else { Vec::new() };
-        // A quantity that the program reads is there for all joints or for none.
-        for known in super::columns::ALL.iter().filter(|known| highest(known.stem) > 0) {
-            if highest(known.stem) > n {
-                let (found, expected) = (highest(known.stem), format!("columns of {n} joints, as many as q has"));
-                return Err(BadInput::new(file, "line 1", format!("column `{}{found}`", known.stem), expected));
-            }
-            all(known.stem, "like those of the other joints")?;
-        }
-        let extra = (0..header.len())
-            .filter(|&column| column != t && ![&q, &dq, &tau].iter().any(|known| known.contains(&column)))
-            .collect();
-        Ok(Layout { t, q, dq, tau, extra })
-    }
-}
-
-/// `3` for `tau3` and stem `tau`; `None` for `tau_cmd3`, `tau0` and `tau03`.
-fn joint_of(name: &str, stem: &str) -> Option<usize> {
-    let digits = name.strip_prefix(stem)?;
-    if digits.starts_with('0') || !digits.bytes().all(|byte| byte.is_ascii_digit()) {
-        return None;
-    }
-    digits.parse().ok()
 }
 
 /// All cells as numbers, column by column.
@@ -172,21 +79,6 @@ fn cells(file: &str, header: &[String], reader: &mut ::csv::Reader<&[u8]>) -> Re
             }
         }
     }
-}
-
-/// Time must not decrease, may repeat, and must advance at least once.
-fn check_time(file: &str, t: &[f64]) -> Result<(), BadInput> {
-    for (index, pair) in t.windows(2).enumerate() {
-        if pair[1] < pair[0] {
-            // The header is line 1, sample 0 is line 2.
-            let expected = format!("a time not before {} s, that of the sample before", pair[0]);
-            return Err(BadInput::new(file, format!("line {}, column t", index + 3), pair[1], expected));
-        }
-    }
-    if t[t.len() - 1] > t[0] {
-        return Ok(());
-    }
-    Err(BadInput::new(file, "column t", format!("{} s in every row", t[0]), "time that advances"))
 }
 
 #[cfg(test)]

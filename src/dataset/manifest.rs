@@ -1,6 +1,7 @@
 //! `dataset.toml`: format and reading of a dataset.
 
-use super::{Dataset, Run, csv};
+use super::layout::Torque;
+use super::{Dataset, Format, Run, file};
 use plumbline_core::{BadInput, from_toml, parallel, threads};
 use plumbline_model::Mounting;
 use serde::{Deserialize, Serialize};
@@ -113,7 +114,8 @@ pub(super) fn read(dir: &Path) -> Result<Dataset, BadInput> {
         {
             let expected = format!("q1..q{}, the joints of {}", first.joints(), first.data.name);
             let place = dir.join(&run.data.name).display().to_string();
-            return Err(BadInput::new(place, "line 1, columns q", format!("q1..q{}", run.joints()), expected));
+            let columns_q = format!("{}, columns q", Format::of(&run.data.name).header());
+            return Err(BadInput::new(place, columns_q, format!("q1..q{}", run.joints()), expected));
         }
         if runs.iter().any(|other| other.data.name == run.data.name) {
             return Err(BadInput::new(
@@ -148,7 +150,7 @@ fn read_run(dir: &Path, file: &str, index: usize, entry: &RunEntry, shared: Moun
     if !Path::new(&entry.file).components().all(|part| matches!(part, Component::Normal(_))) || entry.file.is_empty() {
         return Err(BadInput::new(file, key("file"), format!("`{}`", entry.file), "a file in the dataset's folder"));
     }
-    let columns = super::flight::read_run(&dir.join(&entry.file), csv::Torque::Required)?;
+    let columns = file::read_run(&dir.join(&entry.file), Torque::Required)?;
     if let Some(period) = entry.period {
         let length = columns.t[columns.t.len() - 1] - columns.t[0];
         if !(period > 0.0 && period <= length * 1.001 + 0.01) {

@@ -1,21 +1,25 @@
 //! Datasets: folders of recorded motions for import and export.
 //!
-//! A dataset is a folder with `dataset.toml` and one CSV file per run. The CSV has a header row, then one row per sample: `t` \[s\],
+//! A dataset is a folder with `dataset.toml` and one file per run, CSV or MCAP. The CSV has a header row, then one row per sample: `t` \[s\],
 //! `q1..qn` \[rad\], optional `dq1..dqn` \[rad/s\], `tau1..taun` (\[Nm\], or \[A\] where `dataset.toml` gives a gain), and any further
 //! columns of numbers (`temp1`, `tau_cmd1`, ...), which are kept by name. Sampling may be uneven; samples may be missing or repeated.
-//! A run whose file name ends in `.mcap` is a recording of the flight recorder.
+//! A file whose name ends in `.mcap` has the same columns as messages ([`crate::recording::run`]), or is a recording of the flight recorder.
 
 pub mod columns;
 pub(crate) mod csv;
-mod flight;
+mod file;
+mod format;
 mod hash;
 mod hygiene;
+mod layout;
 mod manifest;
 mod write;
 
+pub use format::{Format, stem};
 pub use hygiene::Hygiene;
 pub use manifest::Role;
 
+use layout::{Columns, Torque};
 use plumbline_core::BadInput;
 use plumbline_model::Mounting;
 use std::path::Path;
@@ -59,7 +63,7 @@ impl Dataset {
 
     /// Writes the dataset atomically as folder `dir`.
     ///
-    /// Torques are written in Nm; every number reads back as the same `f64`.
+    /// Each run's file is CSV or MCAP by its name. Torques are written in Nm; every number reads back as the same `f64`.
     /// Errors: I/O errors with their path; also when `dir` is a folder with content that is no dataset, which is left alone.
     pub fn write(&self, dir: &Path) -> std::io::Result<()> {
         write::write(self, dir)
@@ -96,9 +100,9 @@ impl Dataset {
 impl Run {
     pub const LEAST_SAMPLES: usize = 10;
 
-    /// One motion from a CSV file alone, in a given mounting; torques (in Nm) may be absent, `tau` then has no columns.
-    pub fn read_csv(path: &Path, mounting: Mounting) -> Result<Run, BadInput> {
-        let csv::Columns { t, q, dq, tau, extra } = flight::read_run(path, csv::Torque::Optional)?;
+    /// One motion from its file alone, in a given mounting; torques (in Nm) may be absent, `tau` then has no columns.
+    pub fn read(path: &Path, mounting: Mounting) -> Result<Run, BadInput> {
+        let Columns { t, q, dq, tau, extra } = file::read_run(path, Torque::Optional)?;
         let name = path.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned());
         let data = plumbline_identify::Run { name, t, q, dq, tau, mounting, period: None };
         Ok(Run { extra, ..Run::new(data, Role::Validate) })

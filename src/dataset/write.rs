@@ -1,8 +1,10 @@
 //! Writing a dataset as a folder.
 
 use super::manifest::{FILE, GravityAngles, Manifest, RunEntry, TorqueUnit};
-use super::{Dataset, Run};
+use super::{Dataset, Format, Run};
 use crate::atomic;
+use crate::recording::run::RunTable;
+use nalgebra::DMatrix;
 use plumbline_model::Mounting;
 use std::fs::{self, File};
 use std::io::{self, BufWriter, Write};
@@ -44,25 +46,34 @@ fn describe(dataset: &Dataset) -> Manifest {
     }
 }
 
-/// One run: `t, q1..qn, dq1..dqn, tau1..taun`, then the further columns.
+/// One run, in the format that its name says.
 fn write_run(run: &Run, path: &Path) -> io::Result<()> {
-    let n = run.joints();
-    let mut header = vec!["t".to_string()];
-    let mut columns: Vec<&[f64]> = vec![&run.data.t];
-    let mut blocks = vec![("q", &run.data.q)];
-    blocks.extend(run.data.dq.as_ref().map(|dq| ("dq", dq)));
-    blocks.push(("tau", &run.data.tau));
-    for (stem, block) in blocks {
-        header.extend((1..=n).map(|joint| format!("{stem}{joint}")));
-        columns.extend(block.as_slice().chunks_exact(run.samples()));
-    }
-    for (name, values) in &run.extra {
-        header.push(name.clone());
-        columns.push(values);
-    }
+    let table = RunTable {
+        t: run.data.t.as_slice(),
+        position: columns(&run.data.q),
+        velocity: run.data.dq.as_ref().map_or(Vec::new(), columns),
+        effort: columns(&run.data.tau),
+        further: run.extra.iter().map(|(name, values)| (name.clone(), values.as_slice())).collect(),
+    };
     let mut file = BufWriter::with_capacity(1 << 16, File::create(path)?);
+    match Format::of(&run.data.name) {
+        Format::Csv => write_csv(table, &mut file)?,
+        Format::Mcap => table.write(&mut file)?,
+    }
+    file.flush()
+}
+
+/// The columns of a matrix, which lie behind each other.
+fn columns(block: &DMatrix<f64>) -> Vec<&[f64]> {
+    block.as_slice().chunks_exact(block.nrows().max(1)).collect()
+}
+
+/// A header row, then one row per sample.
+fn write_csv(table: RunTable<&[f64]>, file: &mut impl Write) -> io::Result<()> {
+    let samples = table.t.len();
+    let (header, columns) = table.named();
     writeln!(file, "{}", header.join(","))?;
-    for row in 0..run.samples() {
+    for row in 0..samples {
         for (index, column) in columns.iter().enumerate() {
             if index > 0 {
                 file.write_all(b",")?;
@@ -72,5 +83,5 @@ fn write_run(run: &Run, path: &Path) -> io::Result<()> {
         }
         file.write_all(b"\n")?;
     }
-    file.flush()
+    Ok(())
 }

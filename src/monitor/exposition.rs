@@ -10,7 +10,14 @@ use std::fmt::{Display, Write};
 pub fn exposition(of: &Watched, id: &str, now: u64) -> Option<String> {
     let status = of.status.as_ref()?;
     let mut page = Page { id, text: String::new() };
-    let states = [Progress::Idle, Progress::Driving, Progress::AwaitingModel, Progress::Done, Progress::Stopped];
+    let states = [
+        Progress::Idle,
+        Progress::Driving,
+        Progress::AwaitingModel,
+        Progress::Paused,
+        Progress::Done,
+        Progress::Stopped,
+    ];
     let state = |one: Progress| (vec![("state", name(one))], f64::from(u8::from(one == status.progress)));
     page.family("state", "gauge", "Progress of the job: 1 for the present one.", states.map(state));
     let phase = vec![("phase", format!("{:?}", status.phase).to_lowercase())];

@@ -211,6 +211,7 @@ pub fn progress(progress: Progress) -> &'static str {
         Progress::Idle => "not started",
         Progress::Driving => "driving",
         Progress::AwaitingModel => "waits for a model",
+        Progress::Paused => "paused",
         Progress::Done => "done",
         Progress::Stopped => "stopped",
     }

@@ -195,7 +195,7 @@ pub(super) fn motion(source: &Source, model: &TorqueModel, description: Option<&
     };
     let mut run = match of_dataset {
         Some(run) => run,
-        None => Run::read_csv(source.run, model.mountings().first().copied().unwrap_or(Mounting::UPRIGHT))?,
+        None => Run::read(source.run, model.mountings().first().copied().unwrap_or(Mounting::UPRIGHT))?,
     };
     if let Some(text) = source.mounting {
         run.data.mounting = parse_mounting("--mounting", text)?;

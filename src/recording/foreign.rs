@@ -1,6 +1,6 @@
 //! Messages of MCAP files that other programs wrote.
 
-use super::read::valid_prefix;
+use super::records::valid_prefix;
 use mcap::MessageStream;
 use std::borrow::Cow;
 

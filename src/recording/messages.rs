@@ -20,6 +20,9 @@ pub const EVENTS: &str = "/plumbline/event";
 /// Topic of the events and the daemon's remarks as text.
 pub const LOG: &str = "/rosout";
 
+/// Topic of the time and the further columns of a dataset's run.
+pub const SAMPLES: &str = "/plumbline/sample";
+
 /// Topic of the arm's description as URDF.
 pub const DESCRIPTION: &str = "/robot_description";
 /// Topic of the placements of its links.
@@ -35,6 +38,12 @@ pub(super) fn schema(topic: &str) -> (&'static str, String) {
                 "std_msgs/Header header\nstring[] name\nfloat64[] position\nfloat64[] velocity\nfloat64[] effort\n\
                  {RULE}\nMSG: std_msgs/Header\nbuiltin_interfaces/Time stamp\nstring frame_id\n{time}"
             ),
+        ),
+        SAMPLES => (
+            "plumbline_msgs/msg/Sample",
+            "float64 t          # [s]\n\
+             float64[] further  # the further columns, whose names are the channel's metadata `columns`\n"
+                .to_string(),
         ),
         DESCRIPTION => ("std_msgs/msg/String", "string data\n".to_string()),
         TRANSFORMS => (
@@ -112,13 +121,35 @@ pub(super) fn stamp(message: &mut Encoder, log_ns: u64) {
     message.i32((log_ns / 1_000_000_000).min(i32::MAX as u64) as i32).u32((log_ns % 1_000_000_000) as u32);
 }
 
+/// A `sensor_msgs/JointState`; `values` are position, velocity and effort.
+pub(super) fn joint_state(names: &[String], values: [&[f64]; 3], log_ns: u64) -> Vec<u8> {
+    let mut message = Encoder::default();
+    stamp(&mut message, log_ns);
+    message.string("").strings(names);
+    for each in values {
+        message.f64s(each);
+    }
+    message.finish()
+}
+
+/// Reads position, velocity and effort of a `sensor_msgs/JointState` into `values` and returns the number of each.
+pub(super) fn read_joint_state(bytes: &[u8], values: [&mut [f64]; 3]) -> Result<[usize; 3], CdrError> {
+    let mut message = Decoder::new(bytes)?;
+    message.i32()?;
+    message.u32()?;
+    message.string()?;
+    message.skip_strings()?;
+    let mut counts = [0; 3];
+    for (each, count) in values.into_iter().zip(&mut counts) {
+        *count = message.f64s(each)?;
+    }
+    Ok(counts)
+}
+
 pub(super) fn cycle(record: &Record, names: &[String], log_ns: u64) -> [(&'static str, Vec<u8>); 3] {
     let n = names.len().min(MAX_JOINTS);
     let joints = |position: &[f64], velocity: &[f64], effort: &[f64]| {
-        let mut message = Encoder::default();
-        stamp(&mut message, log_ns);
-        message.string("").strings(&names[..n]).f64s(&position[..n]).f64s(&velocity[..n]).f64s(&effort[..n]);
-        message.finish()
+        joint_state(&names[..n], [&position[..n], &velocity[..n], &effort[..n]], log_ns)
     };
     let (state, command) = (&record.state, &record.command);
     let mut rest = Encoder::default();
@@ -136,8 +167,8 @@ pub(super) fn cycle(record: &Record, names: &[String], log_ns: u64) -> [(&'stati
 
 /// Decodes one of the three messages of a cycle into its record.
 pub(super) fn read_cycle(topic: &str, bytes: &[u8], record: &mut Record) -> Result<(), MessageError> {
-    let mut message = Decoder::new(bytes)?;
     if topic == CYCLES {
+        let mut message = Decoder::new(bytes)?;
         record.cycle = message.u64()?;
         record.state.seq = message.u64()?;
         record.command.seq = record.state.seq;
@@ -158,10 +189,6 @@ pub(super) fn read_cycle(topic: &str, bytes: &[u8], record: &mut Record) -> Resu
         record.validity = Validity::from_u32(code.into()).ok_or_else(|| unknown(code, "a validity from 0 to 4"))?;
         return Ok(());
     }
-    message.i32()?;
-    message.u32()?;
-    message.string()?;
-    message.skip_strings()?;
     let [position, velocity, effort] = if topic == STATES {
         let state = &mut record.state;
         [&mut state.q, &mut state.dq, &mut state.tau]
@@ -169,9 +196,7 @@ pub(super) fn read_cycle(topic: &str, bytes: &[u8], record: &mut Record) -> Resu
         let command = &mut record.command;
         [&mut command.desired.q, &mut command.desired.dq, &mut command.tau_ff.0]
     };
-    for values in [position, velocity, effort] {
-        message.f64s(values)?;
-    }
+    read_joint_state(bytes, [position, velocity, effort])?;
     Ok(())
 }
 

@@ -1,4 +1,4 @@
-//! Recordings of the last seconds before a fault, as MCAP files with ROS 2 messages.
+//! MCAP files with ROS 2 messages: recordings of the last seconds before a fault, and runs of a dataset.
 //!
 //! | file | what |
 //! |---|---|
@@ -6,11 +6,13 @@
 //! | `about` | metadata and the loop's inputs |
 //! | `messages`, `cdr` | messages and their encoding |
 //! | `scene` | description and placements of the arm, for 3-D viewers |
-//! | `write`, `read` | the file |
+//! | `write`, `read` | the recording's file |
+//! | `records` | records of any file, checked |
+//! | `run` | a run of a dataset |
 //! | `foreign` | messages of files that other programs wrote |
 //!
-//! Format: MCAP (<https://mcap.dev/spec>), profile `ros2`, messages in CDR with their definitions in the file. Chunks of about 50 ms have
-//! checksums, so a truncated file is readable up to the cut. Every `f64` of the loop is stored bitwise.
+//! Format: MCAP (<https://mcap.dev/spec>), profile `ros2`, messages in CDR with their definitions in the file. A recording's chunks of about
+//! 50 ms have checksums, so a truncated one is readable up to the cut. Every `f64` of the loop is stored bitwise.
 
 pub mod about;
 pub mod cdr;
@@ -18,12 +20,19 @@ pub mod foreign;
 pub mod history;
 pub mod messages;
 mod read;
+mod records;
+pub mod run;
 mod scene;
 mod write;
+
+pub(crate) use records::bytes_of;
 
 use about::About;
 use plumbline_core::Record;
 use plumbline_rt::TimedEvent;
+
+/// Profile of the files.
+const PROFILE: &str = "ros2";
 
 #[derive(Clone, Debug)]
 pub struct Recording {

@@ -2,13 +2,13 @@
 
 use super::messages::{self, CYCLES, DESCRIPTION, EVENTS, LOG, TRANSFORMS};
 use super::scene::{CYCLES_PER_MESSAGE, Scene};
-use super::{Recording, about::About};
+use super::{PROFILE, Recording, about::About};
 use mcap::records::{MessageHeader, Metadata};
-use mcap::{Attachment, McapError, WriteOptions, Writer};
+use mcap::{Attachment, Compression, McapError, WriteOptions, Writer};
 use plumbline_rt::{Event, StopReason};
 use std::borrow::Cow;
 use std::collections::BTreeMap;
-use std::io::{self, Cursor};
+use std::io::{self, Cursor, Seek, Write};
 use std::path::Path;
 
 /// Size of a chunk \[bytes\]: about 50 cycles, the maximum loss of a truncation.
@@ -29,13 +29,8 @@ impl Recording {
 
     /// The file's bytes.
     pub fn to_bytes(&self) -> io::Result<Vec<u8>> {
-        let options = WriteOptions::new()
-            .compression(None)
-            .profile("ros2")
-            .library(format!("plumbline {}", env!("CARGO_PKG_VERSION")))
-            .chunk_size(Some(CHUNK_BYTES));
         let mut bytes = Cursor::new(Vec::new());
-        let mut writer = Writer::with_options(&mut bytes, options).map_err(failed)?;
+        let mut writer = writer(&mut bytes, None, CHUNK_BYTES)?;
         // Metadata first: a truncation removes the end.
         self.write_texts(&mut writer)?;
         self.write_messages(&mut writer)?;
@@ -65,16 +60,13 @@ impl Recording {
     fn write_messages(&self, writer: &mut Writer<&mut Cursor<Vec<u8>>>) -> io::Result<()> {
         let mut channels = BTreeMap::new();
         for topic in [messages::STATES, messages::COMMANDS, CYCLES, EVENTS, LOG, DESCRIPTION, TRANSFORMS] {
-            let (name, definition) = messages::schema(topic);
-            let schema = writer.add_schema(name, "ros2msg", definition.as_bytes()).map_err(failed)?;
-            channels.insert(topic, writer.add_channel(schema, topic, "cdr", &BTreeMap::new()).map_err(failed)?);
+            channels.insert(topic, add_channel(writer, topic, &BTreeMap::new())?);
         }
         let names: Vec<String> = (1..=self.about.joints).map(|j| format!("{}_joint{j}", self.about.robot)).collect();
         let at = |seq, stamp_ns| self.about.clock.at(seq, stamp_ns);
         let mut put = |topic: &str, sequence: u64, log_time: u64, data: &[u8]| {
             let channel_id = channels.get(topic).copied().unwrap_or_default();
-            let header = MessageHeader { channel_id, sequence: sequence as u32, log_time, publish_time: log_time };
-            writer.write_to_known_channel(&header, data).map_err(failed)
+            put_message(writer, channel_id, sequence as u32, log_time, data)
         };
         let scene = Scene::of(self);
         if let (Some(scene), Some(first)) = (&scene, self.records.first()) {
@@ -132,6 +124,43 @@ impl Recording {
     }
 }
 
+/// A writer of messages of ROS 2.
+pub(super) fn writer<W: Write + Seek>(
+    to: W,
+    compression: Option<Compression>,
+    chunk_bytes: u64,
+) -> io::Result<Writer<W>> {
+    let options = WriteOptions::new()
+        .compression(compression)
+        .profile(PROFILE)
+        .library(format!("plumbline {}", env!("CARGO_PKG_VERSION")))
+        .chunk_size(Some(chunk_bytes));
+    Writer::with_options(to, options).map_err(failed)
+}
+
+/// Adds the channel of a topic with the type of its messages; returns its number.
+pub(super) fn add_channel<W: Write + Seek>(
+    writer: &mut Writer<W>,
+    topic: &str,
+    metadata: &BTreeMap<String, String>,
+) -> io::Result<u16> {
+    let (name, definition) = messages::schema(topic);
+    let schema = writer.add_schema(name, "ros2msg", definition.as_bytes()).map_err(failed)?;
+    writer.add_channel(schema, topic, "cdr", metadata).map_err(failed)
+}
+
+/// Writes a message that was recorded at `log_time` \[ns\].
+pub(super) fn put_message<W: Write + Seek>(
+    writer: &mut Writer<W>,
+    channel_id: u16,
+    sequence: u32,
+    log_time: u64,
+    data: &[u8],
+) -> io::Result<()> {
+    let header = MessageHeader { channel_id, sequence, log_time, publish_time: log_time };
+    writer.write_to_known_channel(&header, data).map_err(failed)
+}
+
 fn level(event: &Event) -> u8 {
     match event {
         Event::Stopping { reason: StopReason::Requested | StopReason::Quit, .. } => WARN,
@@ -158,7 +187,7 @@ fn summary(about: &About) -> BTreeMap<String, String> {
     rows.into_iter().map(|(key, value)| (key.to_string(), value)).collect()
 }
 
-fn failed(error: McapError) -> io::Error {
+pub(super) fn failed(error: McapError) -> io::Error {
     match error {
         McapError::Io(error) => error,
         other => io::Error::other(other),

@@ -83,7 +83,7 @@ fn cells(values: &[f64]) -> Vec<String> {
 }
 
 fn name(file: &str) -> &str {
-    file.strip_suffix(".csv").unwrap_or(file)
+    crate::dataset::stem(file)
 }
 
 fn filled(svg: String) -> Option<Value> {

@@ -8,6 +8,7 @@ mod fci_clients;
 mod fci_emulator;
 mod fci_faults;
 mod fci_limits;
+mod pause;
 mod torque_job;
 mod torque_starts;
 

@@ -9,7 +9,7 @@ use rand_chacha::ChaCha8Rng;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-fn made_up(samples: usize, n: usize) -> Dataset {
+pub(super) fn made_up(samples: usize, n: usize) -> Dataset {
     let mut rng = ChaCha8Rng::seed_from_u64(11);
     let mut block =
         || DMatrix::from_fn(samples, n, |_, _| rng.random_range(-1.0..1.0_f64) * 10f64.powi(rng.random_range(-9..9)));

@@ -3,6 +3,7 @@
 
 mod consistency;
 mod dataset_form;
+mod dataset_mcap;
 mod dataset_table3;
 mod diagnose_real_logs;
 mod estimate_direction;

@@ -83,7 +83,7 @@ fn a_guard_stop_during_a_motion() {
     let data = place.path().join("data");
     std::fs::create_dir(&data).unwrap();
     std::fs::copy(&file, data.join("run.mcap")).unwrap();
-    let run = plumbline::dataset::Run::read_csv(&data.join("run.mcap"), plumbline_model::Mounting::WALL).unwrap();
+    let run = plumbline::dataset::Run::read(&data.join("run.mcap"), plumbline_model::Mounting::WALL).unwrap();
     let cycles = Recording::read(&file).unwrap().records.len();
     assert_eq!((run.samples(), run.joints(), run.data.tau.ncols()), (cycles, 7, 7));
 

@@ -21,6 +21,7 @@ mod live_watch;
 mod main_job;
 mod metrics;
 mod own_robot;
+mod pause;
 mod plan_command;
 mod plan_robots;
 mod power_cut;

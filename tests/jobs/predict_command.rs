@@ -123,7 +123,7 @@ fn the_file_has_the_errors_that_the_program_prints() {
     let path = data.join("panda-gaz2019/excitation_b.csv");
     let (rows, printed) = predict(&place, &path, &[]);
     let printed = printed.unwrap();
-    let run = plumbline::dataset::Run::read_csv(&path, Mounting::UPRIGHT).unwrap();
+    let run = plumbline::dataset::Run::read(&path, Mounting::UPRIGHT).unwrap();
     assert_eq!(rows.len(), run.samples());
     for (j, printed) in printed.iter().enumerate() {
         let inside = || rows.iter().enumerate().filter(|(_, row)| !row.at_end);

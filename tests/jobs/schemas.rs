@@ -2,6 +2,7 @@
 
 use plumbline::config::job::Job;
 use plumbline_model::RobotFile;
+use plumbline_sim::TruthFile;
 use plumbline_testkit::job::*;
 use plumbline_testkit::{page, path, peers};
 use serde::de::DeserializeOwned;
@@ -138,10 +139,17 @@ fn the_schemas_take_what_the_program_takes() {
     let robots: Vec<Document> =
         ["config/robots", "crates/model/tests/golden/robots"].into_iter().flat_map(toml_files).map(document).collect();
     assert!(jobs.len() > 15 && robots.len() > 8, "{} jobs, {} robots", jobs.len(), robots.len());
+    let mut arms: Vec<Document> = toml_files("config/arms").into_iter().map(document).collect();
+    // One of each effect, and every form of those that have several.
+    let effects = std::fs::read_to_string(path("crates/sim/src/effect/tests/examples.txt")).unwrap();
+    let with = |effect: &str| (effect.to_string(), format!("effect = [{{ {effect}, from = 1.0, until = 2 }}]"));
+    arms.extend(effects.lines().map(with).map(document));
+    assert!(arms.len() > 40, "{} arms", arms.len());
     let text = std::fs::read_to_string(schema("job.json")).unwrap();
     // What an editor shows: units of defaults, descriptions without escapes.
     assert!(text.contains("\"default\": \"10 s\"") && !text.contains("\\\\[") && !text.contains("\"null\""), "{text}");
     let Some(python) = peers::interpreter_in("schema", &["jsonschema==4.*"]) else { return };
     compare::<Job>(&python, &place, &schema("job.json"), jobs);
     compare::<RobotFile>(&python, &place, &schema("robot.json"), robots);
+    compare::<TruthFile>(&python, &place, &schema("arm.json"), arms);
 }

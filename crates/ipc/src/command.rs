@@ -24,7 +24,9 @@ pub enum Request {
     Start {},
     /// Controlled stop; the arm stays at rest.
     Stop {},
-    /// Continue after a stop.
+    /// Controlled stop; [`Request::Resume`] continues with the interrupted motion.
+    Pause {},
+    /// Allow motion again after a stop; continue the job after a pause.
     Resume {},
     /// Controlled stop, then the daemon ends.
     Quit {},
@@ -68,6 +70,7 @@ impl Request {
             Request::Status {} => return None,
             Request::Start {} => "start",
             Request::Stop {} => "stop",
+            Request::Pause {} => "pause",
             Request::Resume {} => "resume",
             Request::Quit {} => "quit",
             Request::OfferModel { .. } => "offer-model",
@@ -225,6 +228,8 @@ pub enum Progress {
     Driving,
     /// The arm holds until the estimator sends the model.
     AwaitingModel,
+    /// A pause interrupted the job; it continues after [`Request::Resume`].
+    Paused,
     /// All motions were driven.
     Done,
     /// A stop ended the job.
@@ -424,6 +429,7 @@ mod tests {
             Request::Status {},
             Request::Start {},
             Request::Stop {},
+            Request::Pause {},
             Request::Resume {},
             Request::Quit {},
             Request::OfferModel { toml: toml.clone() },

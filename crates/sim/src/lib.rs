@@ -70,6 +70,7 @@ pub use hardware::Hardware;
 pub use plant::Exact;
 pub use response::Response;
 pub use truth::{JointTruth, Truth};
+pub use truth_file::TruthFile;
 pub use typical::Known;
 
 use commands::{Commands, Refusal, TICK_S};

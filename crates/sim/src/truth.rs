@@ -40,6 +40,7 @@ pub struct Truth {
 
 /// A rigid body.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, rename_all = "kebab-case")]
 pub struct LinkTruth {
     /// Mass \[kg\].
@@ -52,6 +53,7 @@ pub struct LinkTruth {
 
 /// Friction, controller and sensors of one joint.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, rename_all = "kebab-case")]
 pub struct JointTruth {
     /// Viscous friction \[Nms/rad\].

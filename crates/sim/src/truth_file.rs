@@ -8,22 +8,36 @@ use std::path::{Path, PathBuf};
 
 /// Keys of the file; those that are absent are the base's, or the defaults.
 #[derive(Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, rename_all = "kebab-case")]
-struct TruthFile {
+pub struct TruthFile {
+    /// File of the arm that this one extends, relative to this file's folder.
     base: Option<PathBuf>,
+    /// Name of the robot description whose kinematics it has.
     robot: Option<String>,
+    /// Bodies, base first, one per joint.
     #[serde(rename = "link")]
     links: Option<Vec<LinkTruth>>,
+    /// Friction, controller and sensors, base first, one per link.
     #[serde(rename = "joint")]
     joints: Option<Vec<JointTruth>>,
+    /// Integration steps per millisecond: 4 where absent.
     substeps: Option<u32>,
+    /// Probability that a burst of lost states begins at a state.
     drop_probability: Option<f64>,
+    /// States lost in one burst.
     drop_burst: Option<u32>,
+    /// Corner frequency of the coloured part of the torque sensors' noise \[Hz\].
     torque_noise_corner: Option<f64>,
+    /// Probability that a joint's torque is an outlier in a state.
     outlier_probability: Option<f64>,
+    /// Size of an outlier, up or down \[Nm\].
     outlier_size: Option<f64>,
+    /// Probability that a state repeats the readings and the time stamp of the state before.
     repeat_probability: Option<f64>,
+    /// Joints whose torque sensor is dead and reads 0 Nm, counted from 1.
     dead_torque_sensors: Option<Vec<usize>>,
+    /// Effects beyond the rigid body, in the order in which they act.
     #[serde(default, rename = "effect")]
     effects: Vec<EffectSpec>,
 }

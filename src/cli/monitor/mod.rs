@@ -32,6 +32,8 @@ enum Action {
     Leave,
     /// At once: a stop is never asked about.
     Stop,
+    /// At once, too: it brakes as a stop does.
+    Pause,
     /// After a confirmation, because the arm moves or its torque changes.
     Ask(Order),
     Reject,
@@ -61,7 +63,7 @@ impl Order {
     fn question(self) -> &'static str {
         match self {
             Order::Start => "START the job? The arm moves.",
-            Order::Resume => "RESUME after the stop? The arm may move.",
+            Order::Resume => "RESUME after the stop or pause? The arm may move.",
             Order::Adopt => "ADOPT the proposed model? The torque changes.",
         }
     }
@@ -72,7 +74,8 @@ fn action(key: KeyCode, modifiers: KeyModifiers, asked: bool) -> Action {
     let control = modifiers.contains(KeyModifiers::CONTROL);
     match (key, asked) {
         // A stop works whatever is on the screen.
-        (KeyCode::Char(' ' | 's' | 'p'), _) if !control => Action::Stop,
+        (KeyCode::Char(' ' | 's'), _) if !control => Action::Stop,
+        (KeyCode::Char('p'), _) if !control => Action::Pause,
         (KeyCode::Char('c'), _) if control => Action::Leave,
         (KeyCode::Char('y'), true) => Action::Confirm,
         (_, true) => Action::Dismiss,
@@ -130,8 +133,9 @@ impl Screen {
             match action(key.code, key.modifiers, self.asked.is_some()) {
                 Action::Leave => return Ok(()),
                 Action::Stop => self.stop(),
+                Action::Pause => self.pause(),
                 Action::Ask(order) => self.asked = Some(order),
-                Action::Reject => self.send(&Request::Reject {}),
+                Action::Reject => drop(self.send(&Request::Reject {})),
                 Action::Confirm => {
                     if let Some(order) = self.asked.take() {
                         self.send(&order.request());
@@ -152,15 +156,26 @@ impl Screen {
         self.monitor.watched.note(said);
     }
 
-    fn send(&mut self, request: &Request) {
+    fn pause(&mut self) {
+        self.asked = None;
+        if !self.send(&Request::Pause {}) {
+            self.monitor.watched.note("NOT PAUSED; SPACE stops the arm");
+        }
+    }
+
+    /// Sends a request and notes the response; whether it was accepted.
+    fn send(&mut self, request: &Request) -> bool {
         let order = request.order().unwrap_or("status");
-        let said = match self.monitor.send(request) {
+        let response = self.monitor.send(request);
+        let accepted = matches!(&response, Some(Ok(response)) if !matches!(response, Response::Refused { .. }));
+        let said = match response {
             Some(Ok(Response::Refused { reason })) => format!("{order} refused: {reason}"),
             Some(Ok(_)) => format!("{order} accepted"),
             Some(Err(error)) => format!("{order} failed: {error}"),
             None => format!("{order} failed: no daemon"),
         };
         self.monitor.watched.note(said);
+        accepted
     }
 }
 
@@ -177,7 +192,10 @@ mod tests {
             assert_eq!(key(c, true), Action::Dismiss);
         }
         for asked in [false, true] {
-            assert_eq!((key(' ', asked), key('s', asked), key('p', asked)), (Action::Stop, Action::Stop, Action::Stop));
+            assert_eq!(
+                (key(' ', asked), key('s', asked), key('p', asked)),
+                (Action::Stop, Action::Stop, Action::Pause)
+            );
         }
         assert_eq!((key('y', false), key('y', true), key('n', true)), (Action::None, Action::Confirm, Action::Dismiss));
         assert_eq!((key('q', false), key('q', true)), (Action::Leave, Action::Dismiss));

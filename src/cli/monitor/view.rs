@@ -34,7 +34,7 @@ pub fn draw(frame: &mut Frame, of: &Watched, question: Option<&str>) {
     let events = std::iter::once(Line::raw("log").dim()).chain(events);
     frame.render_widget(Paragraph::new(events.collect::<Vec<_>>()), log);
     frame.render_widget(
-        Line::raw("SPACE stop   g start   r resume   a adopt   x reject   q leave (the arm goes on)").dim(),
+        Line::raw("SPACE stop  p pause  g start  r resume  a adopt  x reject  q leave (arm goes on)").dim(),
         keys,
     );
     if let Some(question) = question {
@@ -59,7 +59,7 @@ fn heading(of: &Watched) -> Vec<Line<'_>> {
     let colour = match (of.runs, status.progress) {
         (false, _) | (_, Progress::Stopped) => Color::Red,
         (_, Progress::Driving) => Color::Green,
-        (_, Progress::AwaitingModel) => Color::Yellow,
+        (_, Progress::AwaitingModel | Progress::Paused) => Color::Yellow,
         _ => Color::Reset,
     };
     let state = if of.runs { progress(status.progress) } else { "NO DAEMON" };
@@ -89,6 +89,9 @@ fn heading(of: &Watched) -> Vec<Line<'_>> {
 fn remark(status: &Status) -> Line<'_> {
     if let Some(offered) = &status.offered {
         return Line::raw(format!("proposed: {} (a adopt, x reject)", offered.proposal.what)).yellow();
+    }
+    if status.progress == Progress::Paused {
+        return Line::raw("paused: r drives the interrupted motion from its start, then the rest").yellow();
     }
     let stopped = status.stopped.as_ref().map(|why| format!("stopped: {why}"));
     let degraded = status.degraded.first().map(|why| format!("degraded, not real-time: {why}"));

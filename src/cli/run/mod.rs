@@ -7,6 +7,7 @@ use crate::analysis::next;
 use crate::cli::output::Output;
 use crate::cli::say::say;
 use crate::config::job::Job;
+use crate::dataset::Format;
 use crate::failure::Failure;
 use crate::process::owned;
 use crate::process::signals::Ending;
@@ -49,8 +50,14 @@ impl Options {
 const RESPONSE_TIMEOUT: Duration = Duration::from_secs(5);
 /// Restarts of a killed estimator.
 const MAX_ESTIMATOR_RESTARTS: usize = 3;
-/// Room that a dataset takes per sample and joint: positions, velocities, measured and served torques as text \[bytes\].
-const DATASET_BYTES: u64 = 60;
+/// Room that a dataset takes per driven sample and joint, with positions, velocities, measured and served torques \[bytes\].
+fn dataset_bytes(format: Format) -> u64 {
+    match format {
+        Format::Csv => 60,
+        Format::Mcap => 32,
+    }
+}
+
 /// Room for models, plans and the report \[bytes\].
 const OTHER_BYTES: u64 = 20 << 20;
 
@@ -161,7 +168,7 @@ fn one_round(options: &Options, before: Option<&Path>) -> Result<(), Failure> {
 fn needed(job: &Job, programme: &Programme, joints: usize) -> u64 {
     let kept = |role: Role| matches!(role, Role::Identify | Role::Validate) && job.output.dataset;
     let ticks: usize = programme.motions().filter(|motion| kept(motion.role)).map(|motion| motion.ticks()).sum();
-    OTHER_BYTES + DATASET_BYTES * (ticks * joints) as u64
+    OTHER_BYTES + dataset_bytes(job.output.dataset_format) * (ticks * joints) as u64
 }
 
 /// Refuses to drive where the results will not fit on the disk.

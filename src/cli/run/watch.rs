@@ -78,6 +78,9 @@ impl Watch {
     }
 
     fn motion(&self, status: &Status) -> String {
+        if status.progress == Progress::Paused {
+            return "paused until `plumbline command resume`".into();
+        }
         let (number, of) = (self.begun.0, self.motions.len());
         match self.motions.get(number.wrapping_sub(1)) {
             Some((name, _)) => format!("{name}, {number} of {of}"),

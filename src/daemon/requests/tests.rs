@@ -58,6 +58,58 @@ fn a_permission_lifts_a_stop_where_the_arm_rests_and_not_while_it_brakes() {
 }
 
 #[test]
+fn a_pause_brakes_as_a_stop_does_and_only_a_permission_ends_it() {
+    let (mut state, _place) = new_state();
+    let order = |state: &mut DaemonState, request, controls: &Controls| {
+        state.answer(request, &Served::default(), Some(controls))
+    };
+    let running = Controls::default();
+    for progress in [Progress::Idle, Progress::Done, Progress::Stopped] {
+        state.programme.progress = progress;
+        let reason = refusal(order(&mut state, Request::Pause {}, &running));
+        assert!(reason.contains("nothing is being driven") && !running.stop_requested(), "{reason}");
+    }
+    state.programme.progress = Progress::Driving;
+    assert_eq!(order(&mut state, Request::Pause {}, &running), Response::Accepted {});
+    assert!(running.stop_requested() && state.stops.barred && state.is_over() && !state.must_leave());
+    state.take_event(&Event::Stopping { motion: 1, reason: StopReason::Requested });
+    let reason = refusal(order(&mut state, Request::Resume {}, &running));
+    assert!(reason.contains("being braked"), "{reason}");
+    state.take_event(&Event::Stopped);
+    assert_eq!(state.programme.progress, Progress::Paused);
+    // No loop runs any more.
+    assert_eq!(ask(&mut state, Request::Resume {}), Response::Accepted {});
+    assert!(state.must_leave() && state.is_paused() && !state.is_over());
+    assert_eq!(state.programme.progress, Progress::Driving);
+}
+
+#[test]
+fn a_stop_for_another_reason_ends_a_pause() {
+    let pause = || {
+        let (mut state, place) = new_state();
+        state.programme.progress = Progress::Driving;
+        assert_eq!(
+            state.answer(Request::Pause {}, &Served::default(), Some(&Controls::default())),
+            Response::Accepted {}
+        );
+        (state, place)
+    };
+    let (mut state, _place) = pause();
+    state.take_event(&Event::Stopping { motion: 1, reason: StopReason::LostStates { lost: 20 } });
+    assert_eq!(state.programme.progress, Progress::Stopped);
+    let (mut state, _place) = pause();
+    state.take_stop(plumbline_ipc::StopOrder { process: 7, user: 8 }, None);
+    assert_eq!(state.programme.progress, Progress::Stopped);
+    // Resumed, and stopped before the rest is driven.
+    let (mut state, _place) = pause();
+    state.stops.braking = false;
+    assert_eq!(ask(&mut state, Request::Resume {}), Response::Accepted {});
+    assert_eq!(ask(&mut state, Request::Stop {}), Response::Accepted {});
+    assert!(!state.is_paused() && !state.must_leave());
+    assert_eq!(state.programme.progress, Progress::Stopped);
+}
+
+#[test]
 fn a_recording_on_demand_needs_a_loop() {
     let (mut state, _place) = new_state();
     let reason = refusal(ask(&mut state, Request::Record {}));

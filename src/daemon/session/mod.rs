@@ -261,9 +261,9 @@ impl Session {
         }
     }
 
-    /// Lets simulated time go on for a stop that came while it was paused for a model.
+    /// Lets simulated time go on for a stop that came while it was paused for a model, and for a pause, which ends the connection.
     fn unpark_stopped(&mut self, state: &DaemonState) {
-        if self.parked.is_some() && state.is_over() {
+        if (self.parked.is_some() && state.is_over()) || state.is_paused() {
             self.parked = None;
             self.open_gate();
         }
@@ -328,10 +328,18 @@ impl Session {
                 Next::AwaitModel => {}
                 Next::Over => self.handles.controls.quit(),
                 // A stop before the programme began does not use it up.
-                Next::Aborted if state.programme.start => state.programme.progress = Progress::Stopped,
+                Next::Aborted if state.programme.start && !state.is_paused() => {
+                    state.programme.progress = Progress::Stopped;
+                }
                 Next::Aborted => {}
             }
             match event {
+                Event::Stopped if state.is_paused() => {
+                    // The arm's own controller holds it meanwhile; the next connection checks it before it moves.
+                    self.parked = None;
+                    self.handles.controls.quit();
+                    self.open_gate();
+                }
                 Event::Stopped => {
                     // Nothing is left to go on for when a model comes.
                     self.parked = None;

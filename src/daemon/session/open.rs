@@ -17,7 +17,7 @@ use plumbline_core::{
     CommandMode, ConnectOptions, Connected, Hardware, Histogram, Limits, MAX_JOINTS, MeasuredGravity, Purpose,
 };
 use plumbline_identify::GravitySource;
-use plumbline_ipc::now_ns;
+use plumbline_ipc::{Progress, now_ns};
 use plumbline_model::{Mounting, Reach};
 use plumbline_rt::Rights;
 use plumbline_rt::{CycleSettings, GuardSettings, become_realtime, cycle, recorder};
@@ -108,9 +108,14 @@ impl Session {
         if uncompensated && !unwanted && !held_by_model {
             return Err(Failure::job(falls(&vendor, state)));
         }
+        // A programme that was interrupted after its identification motions.
+        let awaits_model = session.model == 0 && session.script.awaits_model();
         session.give_orders();
         if unwanted {
             session.handles.controls.quit();
+        } else if awaits_model {
+            state.programme.progress = Progress::AwaitingModel;
+            session.shut_gate();
         }
         let thread = std::thread::Builder::new().name("plumbline-loop".into());
         session.thread = Some(thread.spawn(move || run_to_end(&mut cycle)).map_err(Failure::job)?);

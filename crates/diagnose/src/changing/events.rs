@@ -4,6 +4,7 @@ use super::LEAST_PERIODS;
 use super::contact::{self, Contact, MARGIN_S, Noise};
 use super::once::MAX_PERIODS;
 use super::record::{Record, either};
+use super::step::Step;
 use super::transient::{self, Event, Transient};
 use nalgebra::DMatrix;
 use plumbline_model::term::effect::OperatingPoint;
@@ -62,6 +63,27 @@ impl Events {
             }
         }
         found
+    }
+
+    /// Takes out the events that a step of this run makes as it comes: an arm gives way under a tool that is picked up. Such a blow draws the fitted
+    /// time to itself, so the step is dated by where the torques begin to deviate, or to agree with those of later periods; else by the blow's begin.
+    pub fn give_to(&mut self, step: &mut Step, record: &Record, margin: f64) {
+        let time = step.time;
+        let around = |event: &Event| record.time(event.first) - margin..=record.time(event.last - 1) + margin;
+        let of_step = |event: &Event| around(event).contains(&time);
+        let events = self.contacts.iter().map(|(event, _)| event).chain(self.others.iter().map(|(event, _)| event));
+        let own: Vec<Event> = events.filter(|event| of_step(event)).cloned().collect();
+        if own.is_empty() {
+            return;
+        }
+        self.contacts.retain(|(event, _)| !of_step(event));
+        self.others.retain(|(event, _)| !of_step(event));
+        let x = transient::robust(record, &record.tau, true);
+        let raw = transient::events(&x, record.dt, transient::MIN_ENERGY_DEVIATIONS);
+        let ends = raw.iter().flat_map(|event| [record.time(event.first), record.time(event.last - 1)]);
+        let within = ends.filter(|end| own.iter().any(|event| around(event).contains(end)));
+        let begin = own.iter().map(|event| record.time(event.first)).fold(time, f64::min);
+        step.time = within.min_by(|a, b| (a - time).abs().total_cmp(&(b - time).abs())).unwrap_or(begin);
     }
 
     /// Rows of all events.

@@ -137,8 +137,10 @@ pub fn changing(operating_point: &OperatingPoint, trials: &[Trial]) -> Changing 
             masks.push(record.masked.clone());
             continue;
         }
-        let events = Events::of(record, operating_point, &left, false);
+        let mut events = Events::of(record, operating_point, &left, false);
         let masked = events.mask(record, EVENT_MARGIN_S);
+        let own_steps = courses.steps.iter_mut().filter(|step| step.run == record.experiment.name);
+        own_steps.for_each(|step| events.give_to(step, record, 2.0 * EVENT_MARGIN_S));
         found.contacts.extend(events.contacts.into_iter().map(|(_, contact)| contact));
         found.transients.extend(events.others.into_iter().map(|(_, transient)| transient));
         found.leave_out.extend(left_out(record, &masked));

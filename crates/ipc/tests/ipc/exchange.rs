@@ -262,9 +262,12 @@ fn requests_get_responses_and_malformed_ones_are_refused() {
                 }
                 // Longer than the maximum response.
                 Request::Resume {} => Response::Refused { reason: "x".repeat(1 << 20) },
-                Request::Start {} | Request::Stop {} | Request::Adopt {} | Request::Reject {} | Request::Record {} => {
-                    Response::Accepted {}
-                }
+                Request::Start {}
+                | Request::Stop {}
+                | Request::Pause {}
+                | Request::Adopt {}
+                | Request::Reject {}
+                | Request::Record {} => Response::Accepted {},
                 Request::ProposeModel { .. } | Request::Doubt { .. } => {
                     Response::Refused { reason: "not expected".into() }
                 }

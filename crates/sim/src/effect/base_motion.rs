@@ -10,6 +10,7 @@ use std::f64::consts::TAU;
 
 /// A sinusoidal acceleration.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, rename_all = "kebab-case")]
 pub struct Config {
     /// Frequency \[Hz\].

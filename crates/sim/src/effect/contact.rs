@@ -11,6 +11,7 @@ use std::f64::consts::PI;
 
 /// A force of limited duration, first from `from` on.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, rename_all = "kebab-case")]
 pub struct Config {
     /// Link that is touched, counted from 1; the last one where absent.

@@ -10,6 +10,7 @@ use std::f64::consts::FRAC_2_PI;
 
 /// Adds to the joint's friction.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, rename_all = "kebab-case")]
 pub struct Config {
     /// Joint, counted from 1.
@@ -25,6 +26,7 @@ pub struct Config {
 
 /// How friction rises with speed.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum Form {
     /// `tanh(x)`.

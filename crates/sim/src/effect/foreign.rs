@@ -15,6 +15,7 @@ use std::f64::consts::PI;
 
 /// Form of the effect. Joints count from 1.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(tag = "form", rename_all = "kebab-case", deny_unknown_fields)]
 pub enum Config {
     /// A ripple near one position of another joint.

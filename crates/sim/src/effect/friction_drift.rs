@@ -10,6 +10,7 @@ use super::*;
 
 /// Scales the friction of one joint, or of all.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, rename_all = "kebab-case")]
 pub struct Config {
     /// Joint, counted from 1; all of them where absent.

@@ -10,6 +10,7 @@ use plumbline_model::Mounting;
 
 /// Either `tilt`, or `rho` and `phi`.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, rename_all = "kebab-case")]
 pub struct Config {
     /// Rotation vector in the axes of the declared base frame \[rad\].

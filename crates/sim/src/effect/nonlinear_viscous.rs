@@ -14,6 +14,7 @@ use super::*;
 
 /// The shape of the friction over velocity.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum Form {
     /// A smooth step, which Coulomb and viscous friction do not describe.
@@ -26,6 +27,7 @@ pub enum Form {
 
 /// Adds to the joint's friction.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, rename_all = "kebab-case")]
 pub struct Config {
     /// Joint, counted from 1.

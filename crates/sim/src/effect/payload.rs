@@ -5,6 +5,7 @@ use crate::truth::{Inside, Truth, check_body, symmetric};
 
 /// A rigid body fixed to a link.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, rename_all = "kebab-case")]
 pub struct Config {
     /// Link it is fixed to, counted from 1; the last one where absent.

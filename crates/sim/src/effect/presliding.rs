@@ -24,6 +24,7 @@ const MAX_ELEMENTS: usize = 8;
 
 /// Either `delta`, or `elements`.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, rename_all = "kebab-case")]
 pub struct Config {
     /// Joint, counted from 1.
@@ -44,6 +45,7 @@ pub struct Config {
 
 /// A spring that slides.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, rename_all = "kebab-case")]
 pub struct Element {
     /// Share of `fc` that it carries as it slides.

@@ -16,6 +16,13 @@ macro_rules! catalogue {
             $($(#[doc = $doc])* $(#[cfg($cfg)])? #[serde(rename = $id)] $variant($module::Config),)*
         }
 
+        /// The tables of all effects, without the keys that each may have.
+        #[cfg(feature = "schema")]
+        fn tables(generator: &mut schemars::SchemaGenerator) -> Vec<(&'static str, schemars::Schema)> {
+            use schemars::JsonSchema;
+            vec![$($(#[cfg($cfg)])? ($id, $module::Config::json_schema(generator)),)*]
+        }
+
         impl Kind {
             /// The ids of all effects.
             pub const IDS: &[&str] = &[$($(#[cfg($cfg)])? $id),*];
@@ -134,6 +141,46 @@ impl EffectSpec {
         let effect = self.kind.spec().build(truth, self.from);
         let always = self.from <= 0.0 && self.until == f64::INFINITY;
         if always { effect } else { Box::new(Onset::new(effect, self.from..self.until, truth)) }
+    }
+}
+
+/// One table per effect, each with the keys that every effect has.
+#[cfg(feature = "schema")]
+impl schemars::JsonSchema for EffectSpec {
+    fn schema_name() -> std::borrow::Cow<'static, str> {
+        "Effect".into()
+    }
+
+    fn json_schema(generator: &mut schemars::SchemaGenerator) -> schemars::Schema {
+        let tables: Vec<schemars::Schema> = tables(generator)
+            .into_iter()
+            .map(|(id, mut table)| {
+                add_common_keys(&mut table, id);
+                table
+            })
+            .collect();
+        schemars::json_schema!({ "oneOf": tables })
+    }
+}
+
+/// Adds `id`, `from` and `until` to a table, or to every form that it has.
+#[cfg(feature = "schema")]
+fn add_common_keys(table: &mut schemars::Schema, id: &str) {
+    if let Some(serde_json::Value::Array(forms)) = table.get_mut("oneOf") {
+        for form in forms.iter_mut().filter_map(|form| form.try_into().ok()) {
+            add_common_keys(form, id);
+        }
+        return;
+    }
+    let time = |description: &str| serde_json::json!({ "type": "number", "description": description });
+    let own = table.ensure_object();
+    if let Some(keys) = own.entry("properties").or_insert_with(|| serde_json::json!({})).as_object_mut() {
+        keys.insert("id".into(), serde_json::json!({ "const": id }));
+        keys.insert("from".into(), time("When it begins; 0 for an effect that is always there [s]."));
+        keys.insert("until".into(), time("When it ends; absent for one that stays [s]."));
+    }
+    if let Some(required) = own.entry("required").or_insert_with(|| serde_json::json!([])).as_array_mut() {
+        required.push("id".into());
     }
 }
 

@@ -11,6 +11,7 @@ use super::*;
 
 /// Adds to the joint's friction.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, rename_all = "kebab-case")]
 pub struct Config {
     /// Joint, counted from 1.

@@ -6,6 +6,7 @@ use serde::Deserialize;
 
 /// The course of a change over time since its beginning.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum Trend {
     /// `1 - exp(-t / time)`: the arm warms up and stays warm.

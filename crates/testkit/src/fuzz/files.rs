@@ -179,7 +179,7 @@ fn read(bench: &Bench, target: usize, bytes: &[u8]) -> Result<(), String> {
             fresh("dataset.toml", if dataset { bytes } else { whole(5) })?;
             fresh("run.csv", if dataset { whole(6) } else { bytes })?;
             if !dataset {
-                let _ = Run::read_csv(&bench.folder.join("run.csv"), Mounting::UPRIGHT);
+                let _ = Run::read(&bench.folder.join("run.csv"), Mounting::UPRIGHT);
             }
             // The folder's own name has the word.
             Dataset::read(bench.folder).map(drop).map_err(words)

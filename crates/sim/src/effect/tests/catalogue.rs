@@ -6,49 +6,7 @@ use crate::truth::Truth;
 use plumbline_model::term::effect::{FAMILIES, Stratum};
 
 /// One of each, and every form of those that have several.
-const EXAMPLES: &[&str] = &[
-    "id = 'torque-offset', joint = 1, offset = 0.3",
-    "id = 'torque-gain', joint = 2, gain = 1.03",
-    "id = 'asymmetric-coulomb', joint = 1, asymmetry = 0.1",
-    "id = 'asymmetric-viscous', joint = 1, asymmetry = 0.05",
-    "id = 'stribeck', joint = 1, excess = 0.2, velocity = 0.05",
-    "id = 'coulomb-slope', joint = 1, size = 0.3, velocity = 0.03",
-    "id = 'coulomb-slope', joint = 1, size = 0.3, velocity = 0.02, form = 'arctan'",
-    "id = 'nonlinear-viscous', joint = 2, form = 'sigmoid', size = 0.5, velocity = 0.1, shift = 0.02",
-    "id = 'nonlinear-viscous', joint = 2, form = 'cubic', size = 0.3",
-    "id = 'nonlinear-viscous', joint = 2, form = 'quadratic', size = 0.2",
-    "id = 'load-dependent-friction', joint = 2, coulomb = 0.03, viscous = 0.01",
-    "id = 'friction-drift', joint = 1, share = -0.4, time = 1.0",
-    "id = 'friction-drift', share = 0.4, time = 1.0, trend = 'linear'",
-    "id = 'offset-drift', joint = 3, drift = 0.5, time = 1.0",
-    "id = 'presliding', joint = 1, delta = 0.002, damping = 0.1, breakaway = 1.3",
-    "id = 'presliding', joint = 1, elements = [{ share = 0.6, delta = 0.001 }, { share = 0.4, delta = 0.01 }], breakaway = 1.2",
-    "id = 'rotor-inertia', joint = 1, inertia = 0.2",
-    "id = 'joint-elasticity', joint = 2, stiffness = 8000",
-    "id = 'position-ripple', joint = 1, order = 9, sine = 0.2, cosine = 0.1",
-    "id = 'position-ripple', joint = 1, order = 9, sine = 0.2, on = 'joint'",
-    "id = 'position-dependent-friction', joint = 1, order = 2, sine = 0.2, cosine = -0.1",
-    "id = 'spring', joint = 1, stiffness = 2.0, cubic = 3.0, rest = 0.1",
-    "id = 'spring', joint = 1, stiffness = 2.0, rest = 0.4, side = 'above'",
-    "id = 'payload', mass = 0.7, com = [0.1, 0.0, 0.2], inertia = [0.002, 0, 0, 0.002, 0, 0.001]",
-    "id = 'mounting', tilt = [0.01, -0.02, 0.0]",
-    "id = 'mounting', rho = 1.6, phi = 0.1",
-    "id = 'base-motion', frequency = 7.3, amplitude = 0.2, direction = [1, 1, 0]",
-    "id = 'torque-crosstalk', joint = 1, other = 2, share = 0.02",
-    "id = 'transmission-coupling', joint = 2, other = 1, fc = 0.2, fv = 0.1",
-    "id = 'transmission-coupling', joint = 2, other = 1, ratio = -0.5, fc = 0.2",
-    "id = 'delay', delay = 0.0023",
-    "id = 'delay', joint = 1, delay = 0.0004",
-    "id = 'contact', force = [5, 0, -5], point = [0, 0.1, 0], to = 0.5",
-    "id = 'encoder-offset', joint = 2, offset = 0.005",
-    "id = 'encoder-eccentricity', joint = 2, amplitude = 0.002, phase = 0.3",
-    "id = 'backlash', joint = 1, gap = 0.002",
-    "id = 'foreign', form = 'windowed-sine', joint = 1, size = 0.3, first = 1, order = 5, second = 2, middle = -0.3, width = 0.2",
-    "id = 'foreign', form = 'bump', joint = 1, size = 0.3, first = 1, middle = 0.3, width = 0.2, second = 2, speed = 0.1, spread = 0.5",
-    "id = 'foreign', form = 'region', joint = 1, size = 0.3, first = 2, middle = -0.3, width = 0.05",
-    "id = 'foreign', form = 'product', joint = 1, size = 0.3, first = 2, width = 0.3, second = 3",
-    "id = 'foreign', form = 'beat', joint = 1, size = 0.3, every = 1.0",
-];
+const EXAMPLES: &str = include_str!("examples.txt");
 
 fn with(effect: &str) -> Truth {
     truth(&format!("effect = [{{ {effect} }}]"))
@@ -64,7 +22,7 @@ fn the_arm_has_every_effect_that_a_model_can_have() {
     known.sort_unstable();
     ids.sort_unstable();
     assert_eq!(ids, known);
-    let mut shown: Vec<_> = EXAMPLES.iter().map(|text| with(text).effects[0].kind.id()).collect();
+    let mut shown: Vec<_> = EXAMPLES.lines().map(|text| with(text).effects[0].kind.id()).collect();
     shown.sort_unstable();
     shown.dedup();
     assert_eq!(shown, known, "an example of each");
@@ -83,7 +41,7 @@ fn most(a: &[(State, Exact)], b: &[(State, Exact)]) -> f64 {
 #[test]
 fn every_effect_begins_at_its_onset() {
     let plain = run(&truth(""), 700);
-    for text in EXAMPLES {
+    for text in EXAMPLES.lines() {
         let late = with(&format!("{text}, from = 0.25"));
         let states = run(&late, 700);
         assert!(states.iter().all(|(state, _)| numbers(state).all(f64::is_finite)), "{text}");
@@ -107,7 +65,7 @@ fn every_effect_begins_at_its_onset() {
 /// Eight times as many steps of integration change nothing that matters.
 #[test]
 fn the_integration_has_converged_with_every_effect() {
-    for text in EXAMPLES {
+    for text in EXAMPLES.lines() {
         let mut truth = with(text);
         let shipped = run(&truth, 400);
         truth.substeps *= 8;

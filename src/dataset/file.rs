@@ -1,21 +1,41 @@
-//! A recording of the flight recorder as a run: measured values with the arm's time.
+//! A run from an MCAP file: one that a dataset was written to, or a recording of the flight recorder, of which it is the measured values with
+//! the arm's time.
 
-use super::Run;
-use super::csv::{self, Columns, Torque};
-use crate::recording::Recording;
+use super::layout::{Columns, Layout, Torque};
+use super::{Format, Run, csv};
+use crate::recording::{Recording, bytes_of, run::RunTable};
 use nalgebra::DMatrix;
 use plumbline_core::{BadInput, JointVec, PERIOD_S, Record};
 use std::path::Path;
 
-/// Reads a recording of the flight recorder where the name ends in `.mcap`, else a CSV file.
+/// Reads a run from its file.
 pub(super) fn read_run(path: &Path, torque: Torque) -> Result<Columns, BadInput> {
-    let is_recording = path.extension().is_some_and(|extension| extension == "mcap");
-    if is_recording { read(path) } else { csv::read(path, torque) }
+    match Format::of(&path.to_string_lossy()) {
+        Format::Csv => csv::read(path, torque),
+        Format::Mcap => {
+            let file = path.display().to_string();
+            let bytes = bytes_of(path)?;
+            match RunTable::parse(&file, &bytes)? {
+                Some(table) => of_table(&file, table, torque),
+                None => of_recording(&file, &Recording::parse(&file, &bytes)?),
+            }
+        }
+    }
 }
 
-fn read(path: &Path) -> Result<Columns, BadInput> {
-    let file = path.display().to_string();
-    let recording = Recording::read(path)?;
+fn of_table(file: &str, table: RunTable<Vec<f64>>, torque: Torque) -> Result<Columns, BadInput> {
+    let (names, columns) = table.named();
+    let layout = Layout::of(file, &names, torque, Format::Mcap)?;
+    for (name, column) in names.iter().zip(&columns) {
+        if let Some(at) = column.iter().position(|value| !value.is_finite()) {
+            let place = format!("{}, column {name}", Format::Mcap.sample(at));
+            return Err(BadInput::new(file, place, column[at], "a finite number"));
+        }
+    }
+    layout.take(file, names, columns, Format::Mcap)
+}
+
+fn of_recording(file: &str, recording: &Recording) -> Result<Columns, BadInput> {
     if let Some(cut) = &recording.cut {
         return Err(BadInput::new(file, "end of the file", cut, "a complete recording"));
     }
