@@ -41,7 +41,7 @@ pub fn run(options: Options) -> Result<(), Failure> {
         let path = options.out.join(format!("plumbline/schema/{name}.json"));
         let text = serde_json::to_string_pretty(&schema).map_err(Failure::job)?;
         crate::atomic::write_result(&path, format!("{text}\n").as_bytes())?;
-        say!("{}: schema of a {name} file", path.display());
+        say!("{}: schema of {name} files", path.display());
     }
     Ok(())
 }

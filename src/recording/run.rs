@@ -203,8 +203,11 @@ mod tests {
     use super::*;
     use std::io::Cursor;
 
-    /// A file of messages: whether it is a joint state, its number, and its values.
-    fn file(columns: &str, messages: &[(bool, u32, usize)]) -> Vec<u8> {
+    /// Of a message: whether it is a joint state, its number, and the count of its values.
+    type Outline = (bool, u32, usize);
+
+    /// A file of such messages.
+    fn file(columns: &str, messages: &[Outline]) -> Vec<u8> {
         let mut to = Cursor::new(Vec::new());
         let mut writer = writer(&mut to, None, CHUNK_BYTES).unwrap();
         let states = add_channel(&mut writer, STATES, &BTreeMap::new()).unwrap();
@@ -225,13 +228,13 @@ mod tests {
 
     #[test]
     fn samples_that_are_missing_or_of_another_size_are_refused() {
-        let read = |columns: &str, messages: &[(bool, u32, usize)]| {
+        let read = |columns: &str, messages: &[Outline]| {
             RunTable::parse("run.mcap", &file(columns, messages)).map_err(|bad| bad.to_string())
         };
         let good = [(true, 0, 2), (false, 0, 1), (true, 1, 2), (false, 1, 1)];
         let table = read("[\"x\"]", &good).unwrap().unwrap();
         assert_eq!(table.named().0, ["t", "q1", "q2", "tau1", "tau2", "x"]);
-        let cases: [(&str, &[(bool, u32, usize)], &str); 8] = [
+        let cases: [(&str, &[Outline], &str); 8] = [
             ("[\"x\"]", &good[2..], "got sample 1 on `/joint_states`, expected sample 0"),
             (
                 "[\"x\"]",

@@ -80,10 +80,13 @@ fn read(dir: &Path, bytes: &[u8]) -> Result<Run, String> {
     Run::read(&dir.join("a.mcap"), Mounting::WALL).map_err(|bad| bad.to_string())
 }
 
+/// A change of a run.
+type Change = fn(&mut Run);
+
 #[test]
 fn values_that_a_csv_file_may_not_have_are_refused_here_too() {
     let room = tempfile::tempdir().unwrap();
-    let cases: [(fn(&mut Run), &str); 6] = [
+    let cases: [(Change, &str); 6] = [
         (|run| run.data.tau[(4, 1)] = f64::NAN, "a.mcap: sample 4, column tau2: got NaN, expected a finite number"),
         (|run| run.extra[0].1[7] = f64::INFINITY, "a.mcap: sample 7, column tau_cmd1: got inf"),
         (|run| run.data.t[6] = 0.0015, "a.mcap: sample 6, column t: got 0.0015, expected a time not before 0.005 s"),
