@@ -8,6 +8,7 @@ use plumbline::report::diagnosis::{Diagnosis, Effect, Verdict};
 use plumbline_model::Mounting;
 use plumbline_model::term::mounting::axes;
 use plumbline_testkit::job::*;
+use std::process::Command;
 use std::time::Instant;
 use toml::Table;
 
@@ -23,17 +24,23 @@ struct Shown {
     truth: Table,
 }
 
-/// Runs a job and checks what all of them show: one effect, the truth's, in the first lines, and unseen errors at the noise.
-fn shown(name: &str, found_by: &str, joints: &[usize]) -> Shown {
-    let place = Place::new(&format!("demo-{name}"));
+/// The job `config/demo-NAME.toml`, with a seed on other motions and with other noise.
+pub fn demonstration(place: &Place, name: &str, seed: Option<&str>) -> Command {
     let mut command = plumbline();
     command.args(["run", "--verbose", &format!("config/demo-{name}.toml"), "--out"]).arg(place.out());
     command.arg("--set").arg(format!("serve.id={}", place.id));
-    if let Ok(seed) = std::env::var("SEED") {
+    if let Some(seed) = seed {
         for key in ["backend", "excitation", "validation"] {
             command.arg("--set").arg(format!("{key}.seed={seed}"));
         }
     }
+    command
+}
+
+/// Runs a job and checks what all of them show: one effect, the truth's, in the first lines, and unseen errors at the noise.
+fn shown(name: &str, found_by: &str, joints: &[usize]) -> Shown {
+    let place = Place::new(&format!("demo-{name}"));
+    let command = demonstration(&place, name, std::env::var("SEED").ok().as_deref());
     let start = Instant::now();
     let done = Done::of(command).expect_code(0);
     let first: Vec<&str> = done.out.lines().skip(1).take(2).collect();

@@ -1,9 +1,10 @@
 //! Steps at random times while an arm is identified: drawn by seed, written into the arm's own file, and compared with what the report says.
 //! `hil/steps/run.sh` runs it: the study behind the figures of docs/results/diagnosis.md.
 
+use crate::demonstrations::demonstration;
 use plumbline::report::Report;
 use plumbline::report::diagnosis::{Effect, Verdict};
-use plumbline_testkit::job::{Done, Place, plumbline};
+use plumbline_testkit::job::{Done, Place};
 use rand::seq::IndexedRandom;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -101,13 +102,11 @@ fn judge(seed: u64) -> Judged {
     let arm = place.path().join("arm.toml");
     let base = plumbline_testkit::path("config/arms/sim-panda.toml");
     std::fs::write(&arm, format!("base = \"{}\"\n{}", base.display(), step.text)).unwrap();
-    let mut command = plumbline();
-    command.args(["run", "--verbose", "config/demo-payload.toml", "--out"]).arg(place.out());
-    let sets = [format!("serve.id={}", place.id), format!("backend.arm={}", arm.display())];
-    let seeds = ["backend", "excitation", "validation"].map(|key| format!("{key}.seed={seed}"));
-    for set in sets.iter().chain(&seeds).map(String::as_str).chain(JOB) {
+    let mut command = demonstration(&place, "payload", Some(&seed.to_string()));
+    command.arg("--set").arg(format!("backend.arm={}", arm.display()));
+    JOB.iter().for_each(|set| {
         command.arg("--set").arg(set);
-    }
+    });
     let done = Done::of(command).expect_code(0);
     let report: Report = place.report();
     let diagnosis = report.diagnosis.unwrap_or_else(|| panic!("no diagnosis: {}", done.output()));

@@ -149,24 +149,23 @@ impl Delivery<'_> {
                 return Some((*index, why));
             }
         }
-        let unconfirmed = || candidates.iter().copied().filter(|&index| !confirmed[index]);
-        let no_better = unconfirmed().find_map(|index| {
+        let unconfirmed: Vec<usize> = candidates.iter().copied().filter(|&index| !confirmed[index]).collect();
+        for &index in &unconfirmed {
             let joint = selected.found[index].relevance.joint;
-            let why =
-                || format!("it is unconfirmed, and unseen runs are predicted no better: {}", words(&compared, joint));
-            (compared.change.validate_rms[joint] >= 0.0).then(|| (index, why()))
-        });
-        if no_better.is_some() || unconfirmed().next().is_none() {
-            return no_better;
+            if compared.change.validate_rms[joint] >= 0.0 {
+                let words = words(&compared, joint);
+                return Some((index, format!("it is unconfirmed, and unseen runs are predicted no better: {words}")));
+            }
+        }
+        if unconfirmed.is_empty() {
+            return None;
         }
         let rises = without().iter().map(|(index, errors)| (*index, rise(errors, &compared)));
-        let least = rises.filter(|(index, _)| !confirmed[*index]).min_by(|(_, a), (_, b)| a.total_cmp(b));
+        let least = rises.filter(|(index, _)| unconfirmed.contains(index)).min_by(|(_, a), (_, b)| a.total_cmp(b));
         let (index, rise) = least.filter(|(_, rise)| *rise <= 0.0)?;
         let percent = 100.0 * rise;
-        let why = format!(
-            "it is unconfirmed, and unseen runs are predicted no worse without it: {percent:+.1} % in the mean of the joints"
-        );
-        Some((index, why))
+        let why = "it is unconfirmed, and unseen runs are predicted no worse without it";
+        Some((index, format!("{why}: {percent:+.1} % in the mean of the joints")))
     }
 
     /// Errors of each joint on the runs that decide, without each of these effects in turn.

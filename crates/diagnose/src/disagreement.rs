@@ -19,7 +19,7 @@ const FALSE_ALARM_PROBABILITY: f64 = 1e-3;
 /// Errors of the parameters to expect, in their standard deviations.
 const PARAMETER_DEVIATIONS: f64 = 1.5;
 
-/// Unseen runs with a joint whose residual exceeds twice the expected RMS, the worst joint of each run, in the order of the runs.
+/// Unseen runs with a joint whose residual exceeds its limit, the worst joint of each run, in the order of the runs.
 pub struct Disagreements {
     /// Beyond what the errors of the parameters explain.
     pub different: Vec<Disagreement>,
@@ -31,10 +31,10 @@ pub struct Disagreements {
 ///
 ///   E = sqrt(noise^2 + lack^2 + 1.5^2 mean_k(m_k' C m_k))
 ///
-/// in the lowest `bands`. A run differs above `E max(2, sqrt(F))`, with `F` the quantile of the F distribution with the freedoms of the noise in the run and in the
-/// identified ones: slow noise has few. `m_k` is the row of sample k and `C` the covariance of the parameters: the noise is an average over many samples, but all
-/// samples share the errors of the parameters, which are often larger than their standard deviation. `identified` are the runs that `fitted` was
-/// identified from, in `evidence`.
+/// in the lowest `bands`. `m_k` is the row of sample k and `C` the covariance of the parameters: the noise is an average over many samples, but all
+/// samples share the errors of the parameters, which are often larger than their standard deviation. A run differs above `E max(2, sqrt(F))`, with
+/// the quantile `F` of the F distribution for the degrees of freedom of the noise in the run and in the identified ones: slow noise has few.
+/// `identified` are the runs that `fitted` was identified from, in `evidence`.
 pub fn disagreements(
     chain: &Chain,
     evidence: &Evidence,

@@ -71,8 +71,7 @@ impl Events {
         let time = step.time;
         let around = |event: &Event| record.time(event.first) - margin..=record.time(event.last - 1) + margin;
         let of_step = |event: &Event| around(event).contains(&time);
-        let events = self.contacts.iter().map(|(event, _)| event).chain(self.others.iter().map(|(event, _)| event));
-        let own: Vec<Event> = events.filter(|event| of_step(event)).cloned().collect();
+        let own: Vec<Event> = self.all().filter(|event| of_step(event)).cloned().collect();
         if own.is_empty() {
             return;
         }
@@ -88,8 +87,11 @@ impl Events {
 
     /// Rows of all events.
     pub fn mask(&self, record: &Record, margin: f64) -> Vec<bool> {
-        let others = self.others.iter().map(|(event, _)| event);
-        transient::mask(record, self.contacts.iter().map(|(event, _)| event).chain(others), margin)
+        transient::mask(record, self.all(), margin)
+    }
+
+    fn all(&self) -> impl Iterator<Item = &Event> {
+        self.contacts.iter().map(|(event, _)| event).chain(self.others.iter().map(|(event, _)| event))
     }
 }
 

@@ -3,8 +3,10 @@
 //! Joints count from 1 here, as in everything that people read; elsewhere in this crate they count from 0. Lists "per joint" have one entry
 //! per joint of the arm or are empty. A figure that could not be measured is NaN (`null` in the file) in a list and `None` by itself.
 
+mod disagreement;
 mod effect;
 
+pub use disagreement::Disagreement;
 pub use effect::{Acts, Alternative, Effect, Folds, Parameters};
 pub use plumbline_model::term::effect::{Quantity, Stratum};
 
@@ -239,22 +241,6 @@ pub struct Symbolic {
     pub share: Option<f64>,
 }
 
-/// An unseen run that the delivered model predicts worse than the runs it was identified from.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Disagreement {
-    /// Name of the run.
-    pub run: String,
-    /// The worst joint, from 1.
-    pub joint: usize,
-    /// RMS of the residual of its mean period there: of a model without effects below 4 Hz, with effects in the band of the search \[Nm\].
-    pub rms: f64,
-    /// The RMS to expect from the noise, the residual of the identified runs and the errors of the parameters \[Nm\].
-    pub expected: f64,
-    /// The largest RMS that would not differ from it \[Nm\].
-    #[serde(default)]
-    pub limit: f64,
-}
-
 /// The least of one kind of effect that would have been seen.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct MinimumDetectable {
@@ -429,18 +415,6 @@ pub struct Changes {
     /// What the reader has to know: what can't be told apart.
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub note: String,
-}
-
-impl Disagreement {
-    /// RMS over the largest that would not differ.
-    pub fn ratio(&self) -> f64 {
-        self.rms / self.limit.max(f64::MIN_POSITIVE)
-    }
-
-    /// Whether a run with this residual \[Nm\] would agree.
-    pub fn is_explained_at(&self, rms: f64) -> bool {
-        rms <= self.limit
-    }
 }
 
 impl JointFacts {
