@@ -52,7 +52,7 @@ pub fn run(question: &Question) -> Result<Diagnosed, Failure> {
         veto,
         judge,
         options: question.options,
-        parts: &variation.spans(&identify),
+        came: &variation.came(&identify),
     };
     bar.busy("building candidates");
     let watch = search_on(&bar);
@@ -139,17 +139,24 @@ fn prepared(question: &Question) -> Result<(Vec<Experiment>, Changing, Vec<Exper
     let repeat = |experiment: &Experiment| experiment.repeats.is_some();
     let mut found = Changing::default();
     let repeating = experiments.iter().chain(&unseen).any(repeat);
-    let plain = repeating.then(|| plain(question.structure, &experiments)).transpose()?;
-    if let Some(plain) = &plain {
-        let predict = |motion: &Motion| plain.predict(motion);
-        experiments.iter_mut().chain(&mut unseen).for_each(|experiment| experiment.follow_own_motion(predict));
-        let operating_point = question.structure.operating_point(&plain.beta());
-        found = changing(&operating_point, &trials(&experiments, question.identify));
+    let mut plain = repeating.then(|| identified(question.structure, &experiments)).transpose()?;
+    if let Some(plain) = &mut plain {
+        experiments.iter_mut().chain(&mut unseen).for_each(|one| one.follow_own_motion(|motion| plain.predict(motion)));
+        found = changed(question, plain, &experiments);
+        let without = found.before_steps(&trials(&experiments, question.identify));
+        if !without.is_empty() {
+            // What came is in the model of all runs in part, and the arm gave way as it came: both are judged again by the arm as it was before.
+            let before = identified(question.structure, &without)?;
+            let difference = |motion: &Motion| before.predict(motion) - plain.predict(motion);
+            experiments.iter_mut().for_each(|experiment| experiment.follow_own_motion(difference));
+            *plain = before;
+            found = changed(question, plain, &experiments);
+        }
         if !found.leave_out.is_empty() {
             let leave_out = settings.leave_out.iter().chain(&found.leave_out).cloned().collect();
             let settings = Settings { leave_out, ..settings };
             experiments = pipeline::for_estimator(question.identify, &settings, question.options)?;
-            experiments.iter_mut().for_each(|experiment| experiment.follow_own_motion(predict));
+            experiments.iter_mut().for_each(|one| one.follow_own_motion(|motion| plain.predict(motion)));
         }
     }
     cleaned(&mut experiments, &found);
@@ -168,9 +175,15 @@ fn prepared(question: &Question) -> Result<(Vec<Experiment>, Changing, Vec<Exper
     Ok((experiments, found, unseen))
 }
 
+/// What differs between the periods of runs that follow their own motion, by their plain model.
+fn changed(question: &Question, plain: &TorqueModel, experiments: &[Experiment]) -> Changing {
+    let operating_point = question.structure.operating_point(&plain.beta());
+    changing(&operating_point, &trials(experiments, question.identify))
+}
+
 /// The rigid bodies and the friction as a plain identification finds them. Weights matter little for the gravity columns, the shape of friction and
 /// small deviations of the motion.
-fn plain(structure: &Structure, experiments: &[Experiment]) -> Result<TorqueModel, Failure> {
+fn identified(structure: &Structure, experiments: &[Experiment]) -> Result<TorqueModel, Failure> {
     let stack = Stack::of(structure, experiments).map_err(Failure::job)?;
     let plain = ols::solve(&stack).map_err(Failure::job)?;
     let values: Vec<(f64, Option<f64>)> = plain.beta.iter().map(|value| (*value, None)).collect();

@@ -10,7 +10,7 @@ use super::state::State;
 use nalgebra::{DMatrix, DVector};
 use plumbline_identify::Experiment;
 use plumbline_model::Chain;
-use plumbline_model::term::effect::OperatingPoint;
+use plumbline_model::term::effect::{OperatingPoint, Spec};
 use plumbline_model::term::{Motion, Term};
 use std::borrow::Cow;
 use std::sync::Arc;
@@ -75,7 +75,8 @@ impl<'a> Acting<'a> {
     }
 }
 
-/// Candidates that act from the begin of a run on, in one run alone, in `known` parts, and from every block of a motion that does not repeat on.
+/// Candidates that act from the begin of a run on, in one run alone, in the parts of what `came`, and from every block of a motion that does not repeat
+/// on.
 ///
 /// A load in the first run alone is the load of all runs, which the model has, and its opposite since the second. A tilt or an offset of all runs is
 /// `in_no_model`.
@@ -83,17 +84,27 @@ pub(super) fn candidates(
     evidence: &Evidence,
     operating_point: &OperatingPoint,
     trials: &[Trial],
-    known: &[Span],
+    came: &[(Spec, Span)],
     in_no_model: impl Fn(&Candidate) -> bool,
     threads: usize,
 ) -> Vec<Candidate> {
     let families = sudden();
     let everywhere = library(evidence, operating_point, &families, Span::ALL, threads);
+    // The periods' deviations tell the time of what came better than the runs' means.
+    let dated = |item: &Candidate, span: Span| {
+        came.iter()
+            .any(|(spec, own)| (spec.family, spec.site) == (item.spec.family, item.spec.site) && own.begins_near(span))
+    };
+    let of_part = |span| {
+        let open = everywhere.iter().filter(move |item| !dated(item, span));
+        open.filter_map(move |item| item.in_folds(evidence, span))
+    };
     let parts = whole_folds(evidence, trials).into_iter();
-    let of_part = |span| everywhere.iter().filter_map(move |item| item.in_folds(evidence, span));
     let first = first_alone(trials).into_iter().flat_map(|span| {
         everywhere.iter().filter(|item| in_no_model(item)).filter_map(move |item| item.in_folds(evidence, span))
     });
+    let mut known: Vec<Span> = came.iter().map(|(_, span)| *span).collect();
+    known.dedup();
     let inside = known.iter().flat_map(|span| library(evidence, operating_point, &families, *span, threads));
     parts.flat_map(of_part).chain(first).chain(inside).collect()
 }

@@ -88,7 +88,7 @@ pub fn diagnose(input: &Input, settings: &Settings, progress: &Watch) -> Result<
     let in_no_model =
         |item: &Candidate| base.try_in(&problem, item).is_some_and(|tried| tried.independence > MIN_INDEPENDENCE_RATIO);
     let in_parts =
-        acting::candidates(&evidence, &operating_point, input.identify, input.parts, in_no_model, settings.threads);
+        acting::candidates(&evidence, &operating_point, input.identify, input.came, in_no_model, settings.threads);
     candidates.extend(in_parts);
     let search = Search { problem, operating_point: &operating_point, library: &candidates, settings };
     let seeds = seeds(&search, in_no_model);

@@ -5,6 +5,7 @@ use super::evidence::Trial;
 use super::span::Span;
 use plumbline_identify::solve;
 use plumbline_model::Structure;
+use plumbline_model::term::effect::Spec;
 
 /// Hash of the sources that a verdict depends on: those of this crate, of the estimate and of the effects. A figure names the rules that it was made with.
 pub const RULES: &str = env!("PLUMBLINE_RULES");
@@ -21,8 +22,8 @@ pub struct Input<'a> {
     pub judge: &'a [Trial<'a>],
     /// How parameters are identified.
     pub options: &'a solve::Options,
-    /// Parts of the recording in which something may act that does not act in the rest ([`super::changing::Changing::spans`]).
-    pub parts: &'a [Span],
+    /// What came within a run, with the parts of the recording in which it may act ([`super::changing::Changing::came`]).
+    pub came: &'a [(Spec, Span)],
 }
 
 impl<'a> Input<'a> {

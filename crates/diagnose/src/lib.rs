@@ -24,7 +24,7 @@
 //! fn lacking(model: &Structure, fitted: &[Experiment], unseen: &[Experiment]) -> Result<(), Box<dyn std::error::Error>> {
 //!     let (identify, veto) = (Trial::in_turn(fitted), Trial::in_turn(unseen));
 //!     let options = &solve::Options::default();
-//!     let input = Input { structure: model, identify: &identify, veto: &veto, judge: &[], options, parts: &[] };
+//!     let input = Input { structure: model, identify: &identify, veto: &veto, judge: &[], options, came: &[] };
 //!     let outcome = diagnose(&input, &Settings::default(), &|_| {})?;
 //!     println!("{}: {} effects", outcome.diagnosis.verdict, outcome.diagnosis.effects.len());
 //!     Ok(())

@@ -212,26 +212,34 @@ impl Experiment {
         &self.resting
     }
 
-    /// Subtracts from the periods' torque deviations what the deviations of their motion explain by a model: an arm never moves twice alike, and
-    /// every period is compared with the model along its own motion. What is left is noise, encoders' noise included, and what the model lacks.
-    /// [`Scatter::power`] and [`Experiment::noise`] are then those of that remainder. Nothing where the periods are not kept.
-    pub fn follow_own_motion(&mut self, predict: impl Fn(&Motion) -> DMatrix<f64>) {
-        let Some(repeats) = &mut self.repeats else { return };
+    /// The motion of every period by itself, P N rows at the samples of [`Repeats`]; `None` where the periods are not kept.
+    pub fn own_motion(&self) -> Option<Motion> {
+        let repeats = self.repeats.as_ref()?;
         let mean = self.comparison_motion.as_ref().unwrap_or(&self.motion);
-        let (samples, periods) = (mean.samples(), repeats.periods.len());
         // The periods follow each other, and the last does not adjoin the first.
-        let differentiator = self.comparison_differentiator.aperiodic();
-        let mut own = differentiator.motion(&repeats.q, 0);
-        // The accelerations of the ends depend on what lies outside.
-        let (edge, rows) = (differentiator.edge(), repeats.counted.len());
-        repeats.counted[..edge].fill(false);
-        repeats.counted[rows - edge..].fill(false);
-        for p in 0..periods {
+        let mut own = self.comparison_differentiator.aperiodic().motion(&repeats.q, 0);
+        let samples = mean.samples();
+        for p in 0..repeats.periods.len() {
             for (own, mean) in [(&mut own.q, &mean.q), (&mut own.dq, &mean.dq), (&mut own.ddq, &mean.ddq)] {
                 let mut part = own.rows_mut(p * samples, samples);
                 part += mean;
             }
         }
+        Some(own)
+    }
+
+    /// Subtracts from the periods' torque deviations what the deviations of their motion explain by a model: an arm never moves twice alike, and
+    /// every period is compared with the model along its own motion. What is left is noise, encoders' noise included, and what the model lacks.
+    /// [`Scatter::power`] and [`Experiment::noise`] are then those of that remainder. Nothing where the periods are not kept.
+    pub fn follow_own_motion(&mut self, predict: impl Fn(&Motion) -> DMatrix<f64>) {
+        let Some(own) = self.own_motion() else { return };
+        let edge = self.comparison_differentiator.aperiodic().edge();
+        let Some(repeats) = &mut self.repeats else { return };
+        let mean = self.comparison_motion.as_ref().unwrap_or(&self.motion);
+        let (samples, periods, rows) = (mean.samples(), repeats.periods.len(), repeats.counted.len());
+        // The accelerations of the ends depend on what lies outside.
+        repeats.counted[..edge].fill(false);
+        repeats.counted[rows - edge..].fill(false);
         let (own, mean) = (predict(&own), predict(mean));
         for p in 0..periods {
             let mut part = repeats.tau.rows_mut(p * samples, samples);

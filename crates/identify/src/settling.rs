@@ -4,6 +4,7 @@
 //! period must not contain that: the torque of a mean of different motions is not the torque of the mean motion.
 
 use nalgebra::DMatrix;
+use std::ops::Range;
 
 /// Length of a window \[s\].
 const WINDOW_S: f64 = 0.1;
@@ -16,6 +17,11 @@ const MIN_ENERGY: f64 = 1e-18;
 /// Windows below that ratio after which the motion has settled.
 const SETTLED_WINDOWS: usize = 3;
 
+/// A start that lasts for more windows has to decay meanwhile: what does not came or went within the period.
+const MIN_DECAY_WINDOWS: usize = 5;
+/// Largest ratio of the mean squares of its second half and its first.
+const MAX_DECAYED_RATIO: f64 = 0.5;
+
 /// Samples at the start of the first period in which its positions differ from those of the other periods by more than periods differ
 /// usually. `q`, P N x n \[rad\], `dt` apart \[s\]; samples with `left_out` set are ignored. 0 for a single period.
 pub fn settling(q: &DMatrix<f64>, left_out: &[bool], samples: usize, dt: f64) -> usize {
@@ -24,39 +30,53 @@ pub fn settling(q: &DMatrix<f64>, left_out: &[bool], samples: usize, dt: f64) ->
         return 0;
     }
     let window = ((WINDOW_S / dt).round() as usize).max(MIN_WINDOW_SAMPLES);
-    q.column_iter().map(|column| settling_of(column.as_slice(), left_out, samples, window)).max().unwrap_or(0)
+    let of_joint = |q: &[f64]| ratios(q, left_out, samples, window);
+    let joints: Vec<Vec<Option<f64>>> = q.column_iter().map(|column| of_joint(column.as_slice())).collect();
+    let end = joints.iter().map(|ratios| end_of_start(ratios)).max().unwrap_or(0);
+    // Nothing where too few samples tell.
+    let mean = |windows: Range<usize>| -> Option<f64> {
+        let of = |ratios: &Vec<Option<f64>>| ratios[windows.clone()].iter().copied().sum::<Option<f64>>();
+        Some(joints.iter().map(of).sum::<Option<f64>>()? / windows.len() as f64)
+    };
+    let lasts = |(early, late): (f64, f64)| late > MAX_DECAYED_RATIO * early;
+    if end > MIN_DECAY_WINDOWS && mean(0..end / 2).zip(mean(end / 2..end)).is_some_and(lasts) {
+        return 0;
+    }
+    // One window more, in which the rest of it vanishes.
+    if end > 0 { ((end + 1) * window).min(samples) } else { 0 }
 }
 
-/// [`settling`] of one joint.
-fn settling_of(q: &[f64], left_out: &[bool], samples: usize, window: usize) -> usize {
+/// Per window of the first period, the mean square of its difference from the others as a ratio to what is usual; `None` where there are too few
+/// samples to tell.
+fn ratios(q: &[f64], left_out: &[bool], samples: usize, window: usize) -> Vec<Option<f64>> {
     let energies: Vec<_> = (0..q.len() / samples).map(|p| energies(q, left_out, samples, window, p)).collect();
     let (first, others) = (&energies[0], &energies[1..]);
     let mut sorted: Vec<f64> = first.iter().copied().flatten().collect();
-    if sorted.is_empty() {
-        return 0;
-    }
     sorted.sort_by(f64::total_cmp);
     // A motion that never settles is another motion: its median is as large as its start.
-    let usual = sorted[sorted.len() / 2];
-    let differs = |k: usize| {
+    let usual = sorted.get(sorted.len() / 2).copied().unwrap_or_default();
+    let ratio = |k: usize| {
         let beside: Vec<f64> = others.iter().filter_map(|own| own[k]).collect();
         let beside = beside.iter().sum::<f64>() / beside.len().max(1) as f64;
-        first[k].map(|energy| energy > MIN_ENERGY_RATIO * usual.max(beside).max(MIN_ENERGY))
+        first[k].map(|energy| energy / usual.max(beside).max(MIN_ENERGY))
     };
+    (0..first.len()).map(ratio).collect()
+}
+
+/// Windows at the start of a period that deviate.
+fn end_of_start(ratios: &[Option<f64>]) -> usize {
     let (mut end, mut quiet) = (0, 0);
-    for k in 0..first.len() {
-        match differs(k) {
-            Some(true) => (end, quiet) = (k + 1, 0),
-            Some(false) => quiet += 1,
-            // Too few samples to tell.
+    for (k, ratio) in ratios.iter().enumerate() {
+        match ratio {
+            Some(ratio) if *ratio > MIN_ENERGY_RATIO => (end, quiet) = (k + 1, 0),
+            Some(_) => quiet += 1,
             None => {}
         }
         if quiet == SETTLED_WINDOWS {
             break;
         }
     }
-    // One window more, in which the rest of it vanishes.
-    if end > 0 { ((end + 1) * window).min(samples) } else { 0 }
+    end
 }
 
 /// Mean square, per window, of a period's difference from the mean of the other periods after the first; with two periods zero for the second.
@@ -113,6 +133,15 @@ mod tests {
                 let found = settling(&q, &vec![false; q.nrows()], SAMPLES, DT) as f64 * DT;
                 assert!((0.6..=1.6).contains(&found), "{periods} periods, seed {seed}: {found} s");
             }
+        }
+    }
+
+    #[test]
+    fn what_comes_within_the_first_period_is_no_start() {
+        for seed in 0..10 {
+            // A load is picked up after 2.9 s: until then the controller is elsewhere by 0.5 mrad.
+            let q = positions(300 + seed, 5, |t| if t < 2.9 { 5e-4 } else { 0.0 });
+            assert_eq!(settling(&q, &vec![false; q.nrows()], SAMPLES, DT), 0, "seed {seed}");
         }
     }
 

@@ -5,9 +5,10 @@
 //! estimated with the course (profile likelihood), for noise at the lowest frequencies is stronger than that of single samples.
 //! Score, at least [`MIN_SCORE`]: twice the gain in log likelihood, less `k ln n` for `k` parameters and `2 ln N` for `N` candidates.
 
+use super::coming::{self, Coming};
 use super::drift::{Along, Course, Drift, Drifting, Shared};
 use super::record::Record;
-use super::step::{self, Coming, Step};
+use super::step::{self, Step};
 use nalgebra::{DMatrix, DVector};
 use plumbline_model::term::effect::OperatingPoint;
 
@@ -121,13 +122,13 @@ impl Deviations<'_> {
         Deviations { records, operating_point, bands, freedom, count, rows: (0..joints).map(rows).collect() }
     }
 
-    /// Drifts and steps that pay for themselves.
-    pub fn courses(&self) -> Courses {
+    /// Drifts and steps that pay for themselves. A step that was `known` before keeps its time where all of it is masked by now.
+    pub fn courses(&self, known: &[Step]) -> Courses {
         if self.records.is_empty() {
             return Courses::default();
         }
         let drifts = self.candidates();
-        let coming = step::coming(self.records, self.operating_point);
+        let coming = coming::all(self.records, self.operating_point);
         // A step may come at every second.
         let seconds = |one: &Coming| self.records[one.run].tau.nrows() as f64 * self.records[one.run].dt;
         let count = drifts.len() + coming.iter().map(seconds).sum::<f64>() as usize;
@@ -135,7 +136,7 @@ impl Deviations<'_> {
         let mut rest = self.rows.clone();
         // Each kind of drift once in each joint is the most there can be.
         for _ in 0..2 * self.rows.len() {
-            let steps = self.steps(&coming, &taken);
+            let steps = self.steps(&coming, &taken, known);
             let open = |trial: &&Trial| !taken.iter().any(|(other, _, _)| excludes(&coming, other.what, trial.what));
             let scored = drifts.iter().chain(&steps).filter(open).filter_map(|trial| {
                 let fitted = self.fit(trial, &rest)?;
@@ -171,7 +172,7 @@ impl Deviations<'_> {
     }
 
     /// What comes, each at the time at which it explains most of what is left over beside `taken`.
-    fn steps(&self, coming: &[Coming], taken: &[(Trial, Fitted, f64)]) -> Vec<Trial> {
+    fn steps(&self, coming: &[Coming], taken: &[(Trial, Fitted, f64)], known: &[Step]) -> Vec<Trial> {
         let mut rest: Vec<Vec<Vec<f64>>> = Vec::new();
         for (run, record) in self.records.iter().enumerate() {
             let mut known = DMatrix::zeros(record.tau.nrows(), record.joints());
@@ -196,8 +197,13 @@ impl Deviations<'_> {
         }
         let weight = |x: &Vec<f64>| x.len() as f64 / x.iter().map(|value| value * value).sum::<f64>().max(1e-12);
         let weights: Vec<Vec<f64>> = rest.iter().map(|run| run.iter().map(weight).collect()).collect();
-        let rows = step::times(coming, self.records, &rest, &weights);
-        let trial = |(which, row): (usize, Option<usize>)| Some(self.step(which, &coming[which], row?));
+        let rows = coming::times(coming, self.records, &rest, &weights);
+        let trial = |(which, row): (usize, Option<usize>)| {
+            let (one, row) = (&coming[which], row?);
+            let record = &self.records[one.run];
+            let before = known.iter().find(|step| one.is_of(step, record) && record.masked_between(row, step.row));
+            Some(self.step(which, one, before.map_or(row, |step| step.row)))
+        };
         rows.into_iter().enumerate().filter_map(trial).collect()
     }
 
@@ -419,10 +425,12 @@ impl Deviations<'_> {
         Step {
             run: record.experiment.name.clone(),
             time: record.time(row),
+            row,
             spec: coming.spec.clone(),
             evidence: fitted.evidence,
             score,
             rms: squares_about_mean(record, &torque).into_iter().map(rms).collect(),
+            by_own_motion: coming.torque_by_own_motion(record, row, fitted.theta.as_slice()),
             torque,
             periods: record.repeats.periods.clone(),
         }

@@ -13,6 +13,7 @@ impl Changing {
     /// Adds the findings to a diagnosis. An effect counts for the verdict from a share `least_floor` of the noise of the mean periods on, or
     /// from `threshold` \[Nm\] where that is given.
     pub fn add_to(&self, diagnosis: &mut Diagnosis, least_floor: f64, threshold: Option<f64>) {
+        let contacts: Vec<&Contact> = self.contacts.iter().filter(|contact| !self.dates(contact, diagnosis)).collect();
         let joints = &diagnosis.joints;
         let matters = |rms: &[f64]| {
             let enough = |(rms, facts): (&f64, &JointFacts)| {
@@ -22,7 +23,7 @@ impl Changing {
             rms.iter().zip(joints).any(enough)
         };
         let lines = lines(&self.base_motions);
-        let significant = !self.contacts.is_empty()
+        let significant = !contacts.is_empty()
             || self.drifts.iter().any(|drift| matters(&drift.rms))
             || lines.iter().any(|(line, _)| matters(&line.rms))
             || self.steps.iter().any(|step| matters(&step.rms));
@@ -52,9 +53,25 @@ impl Changing {
         let steps = self.steps.iter().filter(|step| matters(&step.rms) && !known(step)).map(came).collect::<Vec<_>>();
         diagnosis.effects.extend(steps);
         diagnosis.effects.extend(lines.iter().map(|(line, count)| self.base_motion(line, *count)));
-        diagnosis.effects.extend(self.contacts.iter().map(touched));
-        diagnosis.notes.extend(self.notes());
+        diagnosis.effects.extend(contacts.iter().map(|contact| touched(contact)));
+        diagnosis.notes.extend(self.notes(&contacts));
         self.quality(diagnosis);
+    }
+
+    /// Whether a contact that is there when its run ends is what acts since the next run, or one that is there when its run begins the lack of what acts
+    /// since then. Such an effect gets the contact's time.
+    fn dates(&self, contact: &Contact, diagnosis: &mut Diagnosis) -> bool {
+        let next = self.runs.iter().skip_while(|run| **run != contact.run).nth(1);
+        let (begun, from) = match (contact.at_ends, next) {
+            ([_, true], Some(next)) => (next, contact.from),
+            ([true, _], _) => (&contact.run, contact.to),
+            _ => return false,
+        };
+        let of_arm = diagnosis.effects.iter_mut().filter(|effect| effect.joints.is_empty());
+        let mut acts = of_arm.filter_map(|effect| effect.acts.as_mut());
+        let Some(acts) = acts.find(|acts| acts.run == *begun && acts.from == 0.0) else { return false };
+        *acts = Acts { run: contact.run.clone(), from, ..acts.clone() };
+        true
     }
 
     fn drift(&self, drift: &Drift) -> Effect {
@@ -114,7 +131,7 @@ impl Changing {
         }
     }
 
-    fn notes(&self) -> Vec<String> {
+    fn notes(&self, contacts: &[&Contact]) -> Vec<String> {
         let mut notes = Vec::new();
         let through = |drift: &Drift| drift.shared == Shared::Course;
         if self.drifts.iter().any(through) {
@@ -127,7 +144,7 @@ impl Changing {
             notes.push("the parameters are those of the recordings' mean: what drifts is not in the model".into());
         }
         let mut events: Vec<(&str, f64, f64, String)> = Vec::new();
-        for one in &self.contacts {
+        for one in contacts {
             events.push((&one.run, one.from, one.to, format!(": contact on link {}", one.link + 1)));
         }
         for one in &self.transients {

@@ -65,24 +65,12 @@ impl Events {
         found
     }
 
-    /// Takes out the events that a step of this run makes as it comes: an arm gives way under a tool that is picked up. Such a blow draws the fitted
-    /// time to itself, so the step is dated by where the torques begin to deviate, or to agree with those of later periods; else by the blow's begin.
-    pub fn give_to(&mut self, step: &mut Step, record: &Record, margin: f64) {
-        let time = step.time;
-        let around = |event: &Event| record.time(event.first) - margin..=record.time(event.last - 1) + margin;
-        let of_step = |event: &Event| around(event).contains(&time);
-        let own: Vec<Event> = self.all().filter(|event| of_step(event)).cloned().collect();
-        if own.is_empty() {
-            return;
-        }
+    /// Without the events that a step makes as it comes: an arm gives way under a tool that is picked up.
+    pub fn without_those_of(mut self, steps: &[Step], record: &Record, margin: f64) -> Self {
+        let of_step = |event: &Event| steps.iter().any(|step| step.has(event, record, margin));
         self.contacts.retain(|(event, _)| !of_step(event));
         self.others.retain(|(event, _)| !of_step(event));
-        let x = transient::robust(record, &record.tau, true);
-        let raw = transient::events(&x, record.dt, transient::MIN_ENERGY_DEVIATIONS);
-        let ends = raw.iter().flat_map(|event| [record.time(event.first), record.time(event.last - 1)]);
-        let within = ends.filter(|end| own.iter().any(|event| around(event).contains(end)));
-        let begin = own.iter().map(|event| record.time(event.first)).fold(time, f64::min);
-        step.time = within.min_by(|a, b| (a - time).abs().total_cmp(&(b - time).abs())).unwrap_or(begin);
+        self
     }
 
     /// Rows of all events.
@@ -95,17 +83,16 @@ impl Events {
     }
 }
 
-/// Rows of contacts that are over before their run is, so that they can't be the begin of something that stays.
-pub(super) fn passing(record: &Record, operating_point: &OperatingPoint, margin: f64) -> Vec<bool> {
-    let rows = record.tau.nrows();
+/// Contacts that are over before their run is, so that they can't be the begin of something that stays.
+pub(super) fn passing(record: &Record, operating_point: &OperatingPoint, margin: f64) -> Vec<Event> {
     if record.periods() <= MAX_PERIODS {
-        return vec![false; rows];
+        return Vec::new();
     }
     let found = Events::of(record, operating_point, &record.tau, true);
     let room = (2.0 * margin / record.dt).round() as usize;
-    let passes = |event: &&Event| {
+    let passes = |event: &Event| {
         let seconds = (event.last - event.first) as f64 * record.dt;
-        event.first > room && event.last + room < rows && seconds < MAX_PASSING_S
+        event.first > room && event.last + room < record.tau.nrows() && seconds < MAX_PASSING_S
     };
-    transient::mask(record, found.contacts.iter().map(|(event, _)| event).filter(passes), margin)
+    found.contacts.into_iter().map(|(event, _)| event).filter(passes).collect()
 }

@@ -5,6 +5,7 @@
 //! ([`plumbline_identify::Settings::leave_out`]), and what the noise is like without the drifts.
 
 mod base_motion;
+mod coming;
 mod contact;
 mod courses;
 mod drift;
@@ -31,8 +32,9 @@ use nalgebra::{DMatrix, DVector};
 use plumbline_core::{parallel, threads};
 use plumbline_identify::signal::spectral::Spectral;
 use plumbline_identify::{ExcludedSpan, Experiment, Scatter};
-use plumbline_model::term::effect::OperatingPoint;
+use plumbline_model::term::effect::{OperatingPoint, Spec};
 use record::Record;
+use transient::Event;
 
 /// Time before and after an event that is left out too \[s\].
 const EVENT_MARGIN_S: f64 = 0.2;
@@ -73,17 +75,35 @@ pub struct Changing {
 }
 
 impl Changing {
-    /// Parts of the recording that begin with something that came within one of these runs: to its end, and to the end of the recording.
-    pub fn spans(&self, trials: &[Trial]) -> Vec<Span> {
+    /// What came within one of these runs, each with two parts of the recording: to its run's end, and to the end of the recording.
+    pub fn came(&self, trials: &[Trial]) -> Vec<(Spec, Span)> {
         let last = trials.iter().map(|trial| trial.start).fold(f64::NEG_INFINITY, f64::max);
-        let spans = |step: &Step| {
+        let of = |step: &Step| {
             let run = trials.iter().find(|trial| trial.experiment.name == step.run)?;
             let from = run.start + step.time;
             let to_its_end = Span { from, to: run.start + run.experiment.timeline.end() };
             // At the end of the last run both are the same.
-            Some([Some(Span::since(from)), Some(to_its_end).filter(|_| run.start < last)])
+            let spans = [Some(Span::since(from)), Some(to_its_end).filter(|_| run.start < last)];
+            let spec = step.spec.clone();
+            Some(spans.into_iter().flatten().map(move |span| (spec.clone(), span)))
         };
-        self.steps.iter().filter_map(spans).flatten().flatten().collect()
+        self.steps.iter().filter_map(of).flatten().collect()
+    }
+
+    /// The runs up to the first in which something came, without what did; none where nothing came.
+    pub fn before_steps(&self, trials: &[Trial]) -> Vec<Experiment> {
+        let steps_of = |trial: &Trial| {
+            let own = self.steps.iter().filter(|step| step.run == trial.experiment.name);
+            own.filter_map(|step| step.of_mean(trial.experiment)).collect::<Vec<_>>()
+        };
+        let has = |trial: &&Trial| self.steps.iter().any(|step| step.run == trial.experiment.name);
+        let first = trials.iter().filter(has).map(|trial| trial.start).reduce(f64::min);
+        let without = |trial: &Trial| {
+            let mut experiment = trial.experiment.clone();
+            steps_of(trial).iter().for_each(|torque| experiment.take_off(torque));
+            experiment
+        };
+        trials.iter().filter(|trial| first.is_some_and(|first| trial.start <= first)).map(without).collect()
     }
 
     /// Whether nothing was found.
@@ -115,15 +135,27 @@ pub fn changing(operating_point: &OperatingPoint, trials: &[Trial]) -> Changing 
         found.leave_out.extend(left_out);
     }
     // A contact would be taken for steps of friction and offset.
-    let passing = parallel(&records, threads(), |record| events::passing(record, operating_point, EVENT_MARGIN_S));
-    records.iter_mut().zip(&passing).for_each(|(record, passing)| record.mask_more(passing));
-    let mut courses = Deviations::of(&records, operating_point).courses();
+    let never: Vec<Vec<bool>> = records.iter().map(|record| record.masked.clone()).collect();
+    let mut passing = parallel(&records, threads(), |record| events::passing(record, operating_point, EVENT_MARGIN_S));
+    let mut courses = courses_without(&passing, &never, &mut records, operating_point);
+    // An arm gives way under a tool that is picked up: that is no contact but a part of the step, which is sought once more in all of its samples.
+    let own =
+        |event: &Event, record: &Record| courses.steps.iter().any(|step| step.has(event, record, 2.0 * EVENT_MARGIN_S));
+    let mut given = 0;
+    for (record, passing) in records.iter().zip(&mut passing) {
+        given += passing.extract_if(.., |event| own(event, record)).count();
+    }
+    if given > 0 {
+        courses = courses_without(&passing, &never, &mut records, operating_point);
+    }
+    let mask_of = |(record, events): (&Record, &Vec<Event>)| transient::mask(record, events, EVENT_MARGIN_S);
+    let passing: Vec<Vec<bool>> = records.iter().zip(&passing).map(mask_of).collect();
     // What was fitted to an event goes where the event is masked, and what else an unknown course made an event comes back.
     for _ in 0..MAX_ROUNDS {
         if !mask(&mut records, &passing, operating_point, &courses) {
             break;
         }
-        courses = Deviations::of(&records, operating_point).courses();
+        courses = Deviations::of(&records, operating_point).courses(&courses.steps);
     }
     let torques = records.iter().enumerate().map(|(run, record)| courses.torque(run, record, operating_point));
     let torques: Vec<DMatrix<f64>> = torques.collect();
@@ -137,10 +169,9 @@ pub fn changing(operating_point: &OperatingPoint, trials: &[Trial]) -> Changing 
             masks.push(record.masked.clone());
             continue;
         }
-        let mut events = Events::of(record, operating_point, &left, false);
+        let events = Events::of(record, operating_point, &left, false);
         let masked = events.mask(record, EVENT_MARGIN_S);
-        let own_steps = courses.steps.iter_mut().filter(|step| step.run == record.experiment.name);
-        own_steps.for_each(|step| events.give_to(step, record, 2.0 * EVENT_MARGIN_S));
+        let events = events.without_those_of(&courses.steps, record, EVENT_MARGIN_S);
         found.contacts.extend(events.contacts.into_iter().map(|(_, contact)| contact));
         found.transients.extend(events.others.into_iter().map(|(_, transient)| transient));
         found.leave_out.extend(left_out(record, &masked));
@@ -180,6 +211,20 @@ pub fn changing(operating_point: &OperatingPoint, trials: &[Trial]) -> Changing 
     found.spared = too_much.map(|record| record.experiment.name.clone()).collect();
     found.leave_out.retain(|one| !found.spared.contains(&one.run));
     found
+}
+
+/// What differs between the periods where they don't have these events, and without samples that `never` count.
+fn courses_without(
+    events: &[Vec<Event>],
+    never: &[Vec<bool>],
+    records: &mut [Record],
+    operating_point: &OperatingPoint,
+) -> Courses {
+    for ((record, never), events) in records.iter_mut().zip(never).zip(events) {
+        let own = transient::mask(record, events, EVENT_MARGIN_S);
+        record.mask(record::either(never, &own));
+    }
+    Deviations::of(records, operating_point).courses(&[])
 }
 
 /// Begin of the first run \[s\].
@@ -278,6 +323,8 @@ pub fn cleaned(experiments: &mut [Experiment], found: &Changing) {
             let samples = experiment.motion.samples();
             let torque = experiment.repeats.as_ref().map(|repeats| step.at_the_samples_of(repeats, samples));
             torque.inspect(|torque| experiment.take_off_deviations(torque));
+            let torque = step.of_mean_by_own_motion(experiment);
+            torque.inspect(|torque| experiment.take_off(torque));
         }
         if let (Some(own), Some(scatter)) = (&mut experiment.scatter, scatter) {
             *own = Scatter { periods: own.periods, ..scatter.clone() };

@@ -1,5 +1,6 @@
 //! The periods of one run on a grid that is as fine as slow effects need, and what is taken off them.
 
+use super::EVENT_MARGIN_S;
 use crate::fold::Cosines;
 use nalgebra::DMatrix;
 use plumbline_identify::signal::time_to_nearest;
@@ -31,6 +32,8 @@ pub(super) struct Record<'a> {
     pub samples: usize,
     /// The mean motion.
     pub motion: Motion,
+    /// The motion of every period by itself, P N rows.
+    pub own: Motion,
     /// Deviations of the torques from their mean, P N x n \[Nm\].
     pub tau: DMatrix<f64>,
     /// Samples that are not in the mean, P N.
@@ -51,16 +54,23 @@ impl Record<'_> {
         let all = experiment.motion.samples();
         let most = (MAX_BLOCK_S / experiment.motion.dt * 1.001).floor().max(1.0) as usize;
         let step = (1..=most).rev().find(|step| all.is_multiple_of(*step)).unwrap_or(1);
-        let of = &experiment.motion;
-        let motion = Motion {
+        let on_grid = |of: &Motion| Motion {
             dt: of.dt * step as f64,
             q: blocks(&of.q, step),
             dq: blocks(&of.dq, step),
             ddq: blocks(&of.ddq, step),
             ..of.clone()
         };
+        let own = on_grid(&experiment.own_motion()?);
         let tau = blocks(&repeats.tau, step);
-        let uncounted: Vec<bool> = repeats.counted.chunks_exact(step).map(|rows| rows.contains(&false)).collect();
+        let mut uncounted: Vec<bool> = repeats.counted.chunks_exact(step).map(|rows| rows.contains(&false)).collect();
+        // Where something came, the mean of the recorded periods ends elsewhere than it begins, and its accelerations have a blow there. Within the run
+        // the deviations have the opposite one.
+        let (ends, rows) = ((EVENT_MARGIN_S / own.dt) as usize, uncounted.len());
+        uncounted[..ends.min(rows)].fill(true);
+        uncounted[rows.saturating_sub(ends)..].fill(true);
+        let mean = |x: &DMatrix<f64>| mean_of_periods(x, &uncounted, all / step);
+        let motion = Motion { q: mean(&own.q), dq: mean(&own.dq), ddq: mean(&own.ddq), ..on_grid(&experiment.motion) };
         let masked = uncounted.clone();
         let mut record = Record {
             experiment,
@@ -72,6 +82,7 @@ impl Record<'_> {
             standing: standing(&motion),
             cosines: Cosines::new(tau.nrows()),
             motion,
+            own,
             tau,
             uncounted,
             masked: Vec::new(),
@@ -130,6 +141,11 @@ impl Record<'_> {
     /// Lets these samples not count beside those that don't already.
     pub fn mask_more(&mut self, more: &[bool]) {
         self.mask(either(&self.masked, more));
+    }
+
+    /// Whether nothing counts from one row up to another.
+    pub fn masked_between(&self, one: usize, other: usize) -> bool {
+        self.masked[one.min(other)..one.max(other)].iter().all(|masked| *masked)
     }
 
     /// Coefficients of a joint's signal up to a frequency, of the cosines over the whole run, which has no step where a period ends. The signal fades out
@@ -261,6 +277,18 @@ pub(super) fn median(values: &mut [f64]) -> f64 {
 pub(super) fn spread(values: &[f64]) -> (f64, f64) {
     let middle = median(&mut values.to_vec());
     (middle, median(&mut values.iter().map(|value| (value - middle).abs()).collect::<Vec<_>>()))
+}
+
+/// Mean over the periods that count at each of `samples`; over all where none does.
+fn mean_of_periods(x: &DMatrix<f64>, uncounted: &[bool], samples: usize) -> DMatrix<f64> {
+    DMatrix::from_fn(samples, x.ncols(), |k, j| {
+        let all = (k..x.nrows()).step_by(samples);
+        let mut rows: Vec<usize> = all.clone().filter(|&row| !uncounted[row]).collect();
+        if rows.is_empty() {
+            rows.extend(all);
+        }
+        rows.iter().map(|&row| x[(row, j)]).sum::<f64>() / rows.len() as f64
+    })
 }
 
 /// Means of `step` rows each.

@@ -59,6 +59,7 @@ pub(super) fn robust(record: &Record, x: &DMatrix<f64>, level: bool) -> DMatrix<
                 period.iter_mut().for_each(|value| *value -= middle);
             }
         }
+        x.iter_mut().zip(&record.uncounted).filter(|(_, uncounted)| **uncounted).for_each(|(x, _)| *x = 0.0);
         column.copy_from_slice(&x);
     }
     out

@@ -53,7 +53,7 @@ impl<'r> Case<'r> {
             veto: &veto,
             judge: &judge,
             options: &self.options,
-            parts: &[],
+            came: &[],
         };
         let mut before = identify(&structure, &self.identify.experiments).unwrap();
         before.beta = truth(&structure).as_slice().to_vec();

@@ -29,7 +29,7 @@ fn diagnosed(scene: &Scene, identify: usize, extra: impl Fn(usize, &mut Run)) ->
         veto,
         judge: &[],
         options: &Options::default(),
-        parts: &[],
+        came: &[],
     };
     let settings = Settings { judged_by: Of::Raw, threads: 2, ..Settings::default() };
     diagnose(&input, &settings, &|_| {}).unwrap()

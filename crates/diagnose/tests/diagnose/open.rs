@@ -15,7 +15,7 @@ fn diagnosed(recorded: &Recorded, until: Option<f64>) -> Outcome {
         veto: &[],
         judge: &[],
         options: &solve::Options::default(),
-        parts: &[],
+        came: &[],
     };
     let outcome = diagnose(&input, &Settings { until, ..Settings::default() }, &|_| {}).unwrap();
     println!("{:?} {:#?} {:?}", outcome.diagnosis.verdict, outcome.diagnosis.effects, outcome.diagnosis.open);

@@ -83,7 +83,7 @@ impl Bench {
         let (veto, judge) = rest.split_at(1);
         let settings = Settings { threads, ..Settings::default() };
         let input =
-            Input { structure: &structure, identify, veto, judge, options: &solve::Options::default(), parts: &[] };
+            Input { structure: &structure, identify, veto, judge, options: &solve::Options::default(), came: &[] };
         let start = Instant::now();
         let outcome = diagnose(&input, &settings, &|_| ()).expect("exciting motions");
         let seconds = start.elapsed().as_secs_f64();

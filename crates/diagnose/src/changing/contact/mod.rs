@@ -11,6 +11,7 @@ mod noise;
 
 pub(super) use noise::Noise;
 
+use super::EVENT_MARGIN_S;
 use super::base_motion::gravity_columns;
 use super::record::{Record, blocks};
 use super::transient::{self, Event};
@@ -72,6 +73,8 @@ pub struct Contact {
     pub explained: f64,
     /// By how much its score is better than that of what is no contact.
     pub gap: f64,
+    /// Whether it is there when the run begins, and when it ends.
+    pub at_ends: [bool; 2],
     /// Times of the torques, since the first sample of the run \[s\].
     times: Vec<f64>,
     /// What it adds to the torques at these times, blocks x n \[Nm\].
@@ -433,6 +436,7 @@ impl Data<'_> {
             }
             force_std[c] = errors.std(&weights);
         }
+        let ends = (2.0 * EVENT_MARGIN_S / record.dt) as usize;
         let mut periods: Vec<usize> =
             (event.first..event.last).map(|row| record.repeats.periods[row / record.samples]).collect();
         periods.dedup();
@@ -453,6 +457,7 @@ impl Data<'_> {
             moment,
             explained: fitted.explained,
             gap,
+            at_ends: [event.first <= ends, event.last + ends >= record.tau.nrows()],
             times: self.rows.iter().map(|&row| record.time(row)).collect(),
             tau: DMatrix::from_fn(self.rows.len(), self.chain.len(), torque),
         })

@@ -82,7 +82,7 @@ fn a_joint_that_warms_up_from_run_to_run_has_one_drift() {
     let structure = Structure::of(stage.chain.clone(), reduction, &["friction"]).unwrap();
     let options = Options::default();
     let input =
-        Input { structure: &structure, identify: &identify, veto: &[], judge: &[], options: &options, parts: &[] };
+        Input { structure: &structure, identify: &identify, veto: &[], judge: &[], options: &options, came: &[] };
     let outcome = diagnose(&input, &plumbline_diagnose::Settings::default(), &|_| {}).unwrap();
     assert!(outcome.diagnosis.effects.is_empty() && outcome.residuals.is_empty(), "{:#?}", outcome.diagnosis.effects);
     let unmodelled = outcome.diagnosis.joints[1].unmodelled;

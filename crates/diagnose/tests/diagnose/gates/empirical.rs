@@ -20,7 +20,7 @@ fn outcome(identify: &Recorded, veto: Option<&Recorded>, judge: Option<&Recorded
         veto: &veto,
         judge: &judge,
         options: &solve::Options::default(),
-        parts: &[],
+        came: &[],
     };
     let settings = Settings { torque_limits: limits.to_vec(), ..Settings::default() };
     let outcome = diagnose(&input, &settings, &|_| {}).unwrap();

@@ -17,7 +17,7 @@ fn outcome(identify: &Recorded, veto: &Recorded, judge: &Recorded) -> Outcome {
         veto: &veto,
         judge: &judge,
         options: &solve::Options::default(),
-        parts: &[],
+        came: &[],
     };
     let outcome = diagnose(&input, &Settings::default(), &|_| {}).unwrap();
     println!("{:?}, {:?}, joint 2: {:?}", outcome.diagnosis.verdict, labels(&outcome), outcome.diagnosis.joints[1]);

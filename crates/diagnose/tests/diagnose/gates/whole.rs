@@ -20,7 +20,7 @@ fn judged(identify: &Recorded, veto: &Recorded, judged_by: Of) -> Outcome {
         veto: &veto,
         judge: &[],
         options: &solve::Options::default(),
-        parts: &[],
+        came: &[],
     };
     let outcome = diagnose(&input, &Settings { judged_by, ..Settings::default() }, &|_| {}).unwrap();
     println!("{:?} {:#?}", outcome.diagnosis.verdict, outcome.diagnosis.effects);
