@@ -451,11 +451,9 @@ impl What {
 fn excludes(coming: &[Coming], one: What, other: What) -> bool {
     match (one, other) {
         (What::Drift(one, _), What::Drift(other, _)) => one.excludes(other),
-        // The same may come and go, at another time.
+        // The same may come and go, at another time. What else comes at the same time is what the step makes of the arm.
         (What::Step(one, row), What::Step(other, other_row)) => {
-            let (one, other) = (&coming[one], &coming[other]);
-            let same = (one.run, one.spec.family, one.spec.site) == (other.run, other.spec.family, other.spec.site);
-            same && row.abs_diff(other_row) < step::MIN_ROWS_APART
+            coming[one].run == coming[other].run && row.abs_diff(other_row) < step::MIN_ROWS_APART
         }
         _ => false,
     }

@@ -122,11 +122,17 @@ impl Changing {
 /// The operating point's friction has `[fv, fc]` of each joint (\[Nms/rad\], \[Nm\]); without it, friction drifts are sought joint by joint alone. Runs without
 /// repeats have no part in it but for their hygiene.
 pub fn changing(operating_point: &OperatingPoint, trials: &[Trial]) -> Changing {
+    changing_since(operating_point, trials, &[])
+}
+
+/// [`changing`] at the operating point of the arm before something came: the load that `came` in a run of two periods is no contact in one of them.
+pub fn changing_since(operating_point: &OperatingPoint, trials: &[Trial], came: &[Step]) -> Changing {
     let mut found = Changing::default();
     let first = begin(trials);
     let mut records: Vec<Record> =
         trials.iter().filter_map(|trial| Record::of(trial.experiment, trial.start - first)).collect();
-    for trial in trials {
+    let without = |trial: &&Trial| !came.iter().any(|step| step.run == trial.experiment.name);
+    for trial in trials.iter().filter(without) {
         let (contacts, left_out) = once::contacts(trial.experiment, operating_point);
         // The other period deviates too, and all of that would look like something that came.
         let record = records.iter_mut().find(|record| std::ptr::eq(record.experiment, trial.experiment));
