@@ -4,7 +4,7 @@ use crate::analysis::pipeline::{self, Identified};
 use crate::dataset::Run;
 use crate::failure::Failure;
 use crate::process::progress::{self, Bar};
-use plumbline_diagnose::changing::{Changing, Step, changing_since, cleaned, until_the_end};
+use plumbline_diagnose::changing::{Changing, changing, cleaned, until_the_end};
 use plumbline_diagnose::errors::Of;
 use plumbline_diagnose::figures::Curves;
 use plumbline_diagnose::outcome::Changes;
@@ -142,7 +142,7 @@ fn prepared(question: &Question) -> Result<(Vec<Experiment>, Changing, Vec<Exper
     let mut plain = repeating.then(|| identified(question.structure, &experiments)).transpose()?;
     if let Some(plain) = &mut plain {
         experiments.iter_mut().chain(&mut unseen).for_each(|one| one.follow_own_motion(|motion| plain.predict(motion)));
-        found = changed(question, plain, &experiments, &[]);
+        found = changed(question, plain, &experiments);
         let without = found.before_steps(&trials(&experiments, question.identify));
         if !without.is_empty() {
             // What came is in the model of all runs in part, and the arm gave way as it came: both are judged again by the arm as it was before.
@@ -150,7 +150,7 @@ fn prepared(question: &Question) -> Result<(Vec<Experiment>, Changing, Vec<Exper
             let difference = |motion: &Motion| before.predict(motion) - plain.predict(motion);
             experiments.iter_mut().for_each(|experiment| experiment.follow_own_motion(difference));
             *plain = before;
-            found = changed(question, plain, &experiments, &found.steps);
+            found = changed(question, plain, &experiments);
         }
         if !found.leave_out.is_empty() {
             let leave_out = settings.leave_out.iter().chain(&found.leave_out).cloned().collect();
@@ -175,10 +175,10 @@ fn prepared(question: &Question) -> Result<(Vec<Experiment>, Changing, Vec<Exper
     Ok((experiments, found, unseen))
 }
 
-/// What differs between the periods of runs that follow their own motion, by their plain model, or by that of the arm before something `came`.
-fn changed(question: &Question, plain: &TorqueModel, experiments: &[Experiment], came: &[Step]) -> Changing {
+/// What differs between the periods of runs that follow their own motion, by their plain model.
+fn changed(question: &Question, plain: &TorqueModel, experiments: &[Experiment]) -> Changing {
     let operating_point = question.structure.operating_point(&plain.beta());
-    changing_since(&operating_point, &trials(experiments, question.identify), came)
+    changing(&operating_point, &trials(experiments, question.identify))
 }
 
 /// The rigid bodies and the friction as a plain identification finds them. Weights matter little for the gravity columns, the shape of friction and

@@ -92,8 +92,7 @@ pub(super) fn candidates(
     let everywhere = library(evidence, operating_point, &families, Span::ALL, threads);
     // The periods' deviations tell the time of what came better than the runs' means.
     let dated = |item: &Candidate, span: Span| {
-        came.iter()
-            .any(|(spec, own)| (spec.family, spec.site) == (item.spec.family, item.spec.site) && own.begins_near(span))
+        came.iter().any(|(spec, own)| item.spec.is_same_effect(spec) && own.begins_near(span))
     };
     let of_part = |span| {
         let open = everywhere.iter().filter(move |item| !dated(item, span));

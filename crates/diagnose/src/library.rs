@@ -84,8 +84,7 @@ impl Candidate {
 
     /// Whether the other is of the same family, at the same place.
     pub fn same_effect(&self, other: &Candidate) -> bool {
-        let key = |one: &Candidate| (one.spec.family, one.spec.site);
-        key(self) == key(other) && self.span.begins_near(other.span)
+        self.spec.is_same_effect(&other.spec) && self.span.begins_near(other.span)
     }
 }
 

@@ -391,8 +391,7 @@ impl<'a> Search<'a> {
             let mut rivals: Vec<Rival> = Vec::new();
             // The same effect since another time is no other explanation.
             let itself = |other: &Candidate| {
-                let of = |one: &Candidate| (one.spec.family, one.spec.site);
-                of(other) == of(&chosen) && (chosen.span.is_all() || other.same_effect(&chosen))
+                other.spec.is_same_effect(&chosen.spec) && (chosen.span.is_all() || other.same_effect(&chosen))
             };
             for other in others.iter().filter(|other| other.score > 0.0 && !itself(&other.item)) {
                 let gap = own.score - other.score;

@@ -34,7 +34,7 @@ pub(super) struct Coming {
     /// The same where its motion deviates slowly from the mean one: it stays bent. The noise of its own accelerations is in the deviations too, and over a
     /// whole run a body would explain it.
     bent: Vec<(usize, DMatrix<f64>)>,
-    /// The same along the mean motion.
+    /// The same along the mean motion, N x width.
     mean: Vec<(usize, DMatrix<f64>)>,
 }
 
@@ -58,22 +58,23 @@ impl Coming {
         let basis = independent(&mean)?;
         let (own, mean) = (along(&record.own) * &basis, mean * &basis);
         let (rows, samples) = (record.own.samples(), record.samples);
+        let half = (SMOOTHING_S / record.dt / 2.0).round() as usize;
+        let every =
+            DMatrix::from_fn(own.nrows(), own.ncols(), |k, c| mean[(k / rows * samples + k % rows % samples, c)]);
+        let mut bent = &own - &every;
+        bent.as_mut_slice().chunks_mut(rows).for_each(|column| smooth(column, half));
+        bent += every;
         let parts = |y: DMatrix<f64>| {
+            let rows = y.nrows() / record.joints();
             let part = |joint: usize| (joint, y.rows(joint * rows, rows).into_owned());
             (0..record.joints()).map(part).filter(|(_, part)| part.iter().any(|value| *value != 0.0)).collect()
         };
-        let every = |k: usize, c: usize| mean[(k / rows * samples + k % rows % samples, c)];
-        let mean = DMatrix::from_fn(own.nrows(), own.ncols(), every);
-        let half = (SMOOTHING_S / record.dt / 2.0).round() as usize;
-        let mut bent = &own - &mean;
-        bent.as_mut_slice().chunks_mut(rows).for_each(|column| smooth(column, half));
-        bent += &mean;
         Some(Coming { run, spec, width: basis.ncols(), own: parts(own), bent: parts(bent), mean: parts(mean) })
     }
 
     /// Whether a step is of this effect.
     pub fn is_of(&self, step: &Step, record: &Record) -> bool {
-        (&step.run, step.spec.family, step.spec.site) == (&record.experiment.name, self.spec.family, self.spec.site)
+        step.run == record.experiment.name && step.spec.is_same_effect(&self.spec)
     }
 
     /// Row of the run at which a step explains most of `rest`, the centred deviations of each joint in this run weighed by `weights`.
@@ -106,88 +107,39 @@ impl Coming {
         every: usize,
     ) -> Vec<(usize, f64)> {
         let wanted: Vec<usize> = rows.step_by(every).collect();
-        let mut sums = vec![(DMatrix::zeros(self.width, self.width), DVector::zeros(self.width)); wanted.len()];
+        let mut counts = vec![0.0; record.samples];
+        for row in (0..record.masked.len()).filter(|&row| !record.masked[row]) {
+            counts[row % record.samples] += 1.0;
+        }
+        let mut total = vec![(DMatrix::zeros(self.width, self.width), DVector::zeros(self.width)); wanted.len()];
         for (joint, columns) in &self.own {
-            let own = self.sums(record, *joint, columns, &rest[*joint], &wanted);
-            for ((g, b), (own_g, own_b)) in sums.iter_mut().zip(own) {
+            let own = sums(record, *joint, columns, &rest[*joint], &counts, &wanted);
+            for ((g, b), (own_g, own_b)) in total.iter_mut().zip(own) {
                 *g += own_g * weights[*joint];
                 *b += own_b * weights[*joint];
             }
         }
-        let ridge = 1e-9 * sums.first().map_or(0.0, |(g, _)| g.diagonal().max());
+        let ridge = 1e-9 * total.first().map_or(0.0, |(g, _)| g.diagonal().max());
         let gain = |(g, b): (DMatrix<f64>, DVector<f64>)| {
             let g = g + DMatrix::identity(self.width, self.width) * ridge;
             g.cholesky().map_or(0.0, |g| b.dot(&g.solve(&b)))
         };
-        wanted.into_iter().zip(sums.into_iter().map(gain)).collect()
-    }
-
-    /// `G` and `b` of one joint at rows in their order.
-    fn sums(
-        &self,
-        record: &Record,
-        joint: usize,
-        columns: &DMatrix<f64>,
-        rest: &[f64],
-        wanted: &[usize],
-    ) -> Vec<(DMatrix<f64>, DVector<f64>)> {
-        let (width, samples) = (self.width, record.samples);
-        let mut counts = vec![0.0; samples];
-        record
-            .masked
-            .iter()
-            .enumerate()
-            .filter(|(_, masked)| !**masked)
-            .for_each(|(row, _)| counts[row % samples] += 1.0);
-        let (mut g, mut b) = (DMatrix::zeros(width, width), DVector::zeros(width));
-        let mut later = DMatrix::zeros(width, samples);
-        let mut sums = Vec::new();
-        // From the end, where nothing has come.
-        let mut row = rest.len();
-        for &from in wanted.iter().rev() {
-            while row > from {
-                row -= 1;
-                if record.masked[row] || record.standing[joint][row % samples] {
-                    continue;
-                }
-                let c = columns.row(row).transpose();
-                let (mut later, share) = (later.column_mut(row % samples), 1.0 / counts[row % samples]);
-                g.ger(1.0 - share, &c, &c, 1.0);
-                g.ger(-share, &c, &later, 1.0);
-                g.ger(-share, &later, &c, 1.0);
-                b.axpy(rest[row], &c, 1.0);
-                later += c;
-            }
-            sums.push((g.clone(), b.clone()));
-        }
-        sums.reverse();
-        sums
+        wanted.into_iter().zip(total.into_iter().map(gain)).collect()
     }
 
     /// Its torque from a row of the run on, P N x n \[Nm\].
     pub fn torque(&self, record: &Record, row: usize, theta: &[f64]) -> DMatrix<f64> {
-        self.sum(record, &self.since(record, row), theta)
+        sum(record, &self.since(record, row), theta)
     }
 
-    /// The part of [`Coming::torque`] that it has because the run's own motion is not the mean one.
-    pub fn torque_by_own_motion(&self, record: &Record, row: usize, theta: &[f64]) -> DMatrix<f64> {
-        let along_mean: Vec<_> = self.mean.iter().map(|(joint, part)| (*joint, signals(part, row))).collect();
-        self.torque(record, row, theta) - self.sum(record, &along_mean, theta)
-    }
-
-    fn sum(&self, record: &Record, columns: &[(usize, Vec<Vec<f64>>)], theta: &[f64]) -> DMatrix<f64> {
-        let mut tau = DMatrix::zeros(record.tau.nrows(), record.joints());
-        for (joint, columns) in columns {
-            for (column, value) in columns.iter().zip(theta) {
-                tau.column_mut(*joint).iter_mut().zip(column).for_each(|(tau, column)| *tau += value * column);
-            }
-        }
-        tau
+    /// What its torque would be along the mean motion.
+    pub fn torque_along_mean(&self, record: &Record, row: usize, theta: &[f64]) -> DMatrix<f64> {
+        sum(record, &signals(&self.mean, record, row), theta)
     }
 
     /// Its columns from a row of the run on, as a signal of the whole run for each joint.
     pub fn since(&self, record: &Record, row: usize) -> Vec<(usize, Vec<Vec<f64>>)> {
-        let mut columns: Vec<_> = self.bent.iter().map(|(joint, part)| (*joint, signals(part, row))).collect();
+        let mut columns = signals(&self.bent, record, row);
         let settled = (row + (GIVING_WAY_S / record.dt) as usize).min(record.tau.nrows());
         for (joint, columns) in &mut columns {
             let Some((_, own)) = self.own.iter().find(|(other, _)| other == joint) else { continue };
@@ -197,6 +149,52 @@ impl Coming {
         }
         columns
     }
+}
+
+/// `G` and `b` of [`Coming::gains`] for one joint at rows in their order; `counts` are `P_k`.
+fn sums(
+    record: &Record,
+    joint: usize,
+    columns: &DMatrix<f64>,
+    rest: &[f64],
+    counts: &[f64],
+    wanted: &[usize],
+) -> Vec<(DMatrix<f64>, DVector<f64>)> {
+    let (width, samples) = (columns.ncols(), record.samples);
+    let (mut g, mut b) = (DMatrix::zeros(width, width), DVector::zeros(width));
+    let mut later = DMatrix::zeros(width, samples);
+    let mut sums = Vec::new();
+    // From the end, where nothing has come.
+    let mut row = rest.len();
+    for &from in wanted.iter().rev() {
+        while row > from {
+            row -= 1;
+            if record.masked[row] || record.standing[joint][row % samples] {
+                continue;
+            }
+            let c = columns.row(row).transpose();
+            let (mut later, share) = (later.column_mut(row % samples), 1.0 / counts[row % samples]);
+            g.ger(1.0 - share, &c, &c, 1.0);
+            g.ger(-share, &c, &later, 1.0);
+            g.ger(-share, &later, &c, 1.0);
+            b.axpy(rest[row], &c, 1.0);
+            later += c;
+        }
+        sums.push((g.clone(), b.clone()));
+    }
+    sums.reverse();
+    sums
+}
+
+/// Torque of signals with these parameters, P N x n.
+fn sum(record: &Record, columns: &[(usize, Vec<Vec<f64>>)], theta: &[f64]) -> DMatrix<f64> {
+    let mut tau = DMatrix::zeros(record.tau.nrows(), record.joints());
+    for (joint, columns) in columns {
+        for (column, value) in columns.iter().zip(theta) {
+            tau.column_mut(*joint).iter_mut().zip(column).for_each(|(tau, column)| *tau += value * column);
+        }
+    }
+    tau
 }
 
 /// The mean of so many samples before and after each.
@@ -214,14 +212,14 @@ fn smooth(x: &mut [f64], half: usize) {
     }
 }
 
-/// Columns that are zero before a row.
-fn signals(columns: &DMatrix<f64>, row: usize) -> Vec<Vec<f64>> {
+/// Columns of a run, or of each of its periods, as signals that are zero before a row.
+fn signals(parts: &[(usize, DMatrix<f64>)], record: &Record, row: usize) -> Vec<(usize, Vec<Vec<f64>>)> {
+    let rows = record.tau.nrows();
     let signal = |column: DVectorView<f64>| {
-        let mut signal = column.as_slice().to_vec();
-        signal[..row].fill(0.0);
-        signal
+        let at = |k: usize| if k < row { 0.0 } else { column[k % column.len()] };
+        (0..rows).map(at).collect()
     };
-    columns.column_iter().map(signal).collect()
+    parts.iter().map(|(joint, part)| (*joint, part.column_iter().map(signal).collect())).collect()
 }
 
 /// What makes an orthonormal basis of columns when they are multiplied by it; `None` where all are zero.

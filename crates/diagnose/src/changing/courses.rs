@@ -430,7 +430,7 @@ impl Deviations<'_> {
             evidence: fitted.evidence,
             score,
             rms: squares_about_mean(record, &torque).into_iter().map(rms).collect(),
-            by_own_motion: coming.torque_by_own_motion(record, row, fitted.theta.as_slice()),
+            by_own_motion: &torque - coming.torque_along_mean(record, row, fitted.theta.as_slice()),
             torque,
             periods: record.repeats.periods.clone(),
         }
@@ -451,9 +451,11 @@ impl What {
 fn excludes(coming: &[Coming], one: What, other: What) -> bool {
     match (one, other) {
         (What::Drift(one, _), What::Drift(other, _)) => one.excludes(other),
-        // The same may come and go, at another time. What else comes at the same time is what the step makes of the arm.
+        // The same may come and go, at another time.
         (What::Step(one, row), What::Step(other, other_row)) => {
-            coming[one].run == coming[other].run && row.abs_diff(other_row) < step::MIN_ROWS_APART
+            let (one, other) = (&coming[one], &coming[other]);
+            let same = one.run == other.run && one.spec.is_same_effect(&other.spec);
+            same && row.abs_diff(other_row) < step::MIN_ROWS_APART
         }
         _ => false,
     }

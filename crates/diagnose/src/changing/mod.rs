@@ -90,8 +90,12 @@ impl Changing {
         self.steps.iter().filter_map(of).flatten().collect()
     }
 
-    /// The runs up to the first in which something came, without what did; none where nothing came.
+    /// The runs up to the first in which something came, without what did; none where nothing came, or in two periods, where such a model would make it a
+    /// contact in one of them.
     pub fn before_steps(&self, trials: &[Trial]) -> Vec<Experiment> {
+        if self.steps.iter().any(|step| step.periods.len() <= once::MAX_PERIODS) {
+            return Vec::new();
+        }
         let steps_of = |trial: &Trial| {
             let own = self.steps.iter().filter(|step| step.run == trial.experiment.name);
             own.filter_map(|step| step.of_mean(trial.experiment)).collect::<Vec<_>>()
@@ -122,17 +126,11 @@ impl Changing {
 /// The operating point's friction has `[fv, fc]` of each joint (\[Nms/rad\], \[Nm\]); without it, friction drifts are sought joint by joint alone. Runs without
 /// repeats have no part in it but for their hygiene.
 pub fn changing(operating_point: &OperatingPoint, trials: &[Trial]) -> Changing {
-    changing_since(operating_point, trials, &[])
-}
-
-/// [`changing`] at the operating point of the arm before something came: the load that `came` in a run of two periods is no contact in one of them.
-pub fn changing_since(operating_point: &OperatingPoint, trials: &[Trial], came: &[Step]) -> Changing {
     let mut found = Changing::default();
     let first = begin(trials);
     let mut records: Vec<Record> =
         trials.iter().filter_map(|trial| Record::of(trial.experiment, trial.start - first)).collect();
-    let without = |trial: &&Trial| !came.iter().any(|step| step.run == trial.experiment.name);
-    for trial in trials.iter().filter(without) {
+    for trial in trials {
         let (contacts, left_out) = once::contacts(trial.experiment, operating_point);
         // The other period deviates too, and all of that would look like something that came.
         let record = records.iter_mut().find(|record| std::ptr::eq(record.experiment, trial.experiment));
@@ -142,20 +140,18 @@ pub fn changing_since(operating_point: &OperatingPoint, trials: &[Trial], came: 
     }
     // A contact would be taken for steps of friction and offset.
     let never: Vec<Vec<bool>> = records.iter().map(|record| record.masked.clone()).collect();
-    let mut passing = parallel(&records, threads(), |record| events::passing(record, operating_point, EVENT_MARGIN_S));
-    let mut courses = courses_without(&passing, &never, &mut records, operating_point);
+    let mut events = parallel(&records, threads(), |record| events::passing(record, operating_point, EVENT_MARGIN_S));
+    let (mut courses, mut passing) = courses_without(&events, &never, &mut records, operating_point);
     // An arm gives way under a tool that is picked up: that is no contact but a part of the step, which is sought once more in all of its samples.
     let own =
         |event: &Event, record: &Record| courses.steps.iter().any(|step| step.has(event, record, 2.0 * EVENT_MARGIN_S));
     let mut given = 0;
-    for (record, passing) in records.iter().zip(&mut passing) {
-        given += passing.extract_if(.., |event| own(event, record)).count();
+    for (record, events) in records.iter().zip(&mut events) {
+        given += events.extract_if(.., |event| own(event, record)).count();
     }
     if given > 0 {
-        courses = courses_without(&passing, &never, &mut records, operating_point);
+        (courses, passing) = courses_without(&events, &never, &mut records, operating_point);
     }
-    let mask_of = |(record, events): (&Record, &Vec<Event>)| transient::mask(record, events, EVENT_MARGIN_S);
-    let passing: Vec<Vec<bool>> = records.iter().zip(&passing).map(mask_of).collect();
     // What was fitted to an event goes where the event is masked, and what else an unknown course made an event comes back.
     for _ in 0..MAX_ROUNDS {
         if !mask(&mut records, &passing, operating_point, &courses) {
@@ -219,18 +215,20 @@ pub fn changing_since(operating_point: &OperatingPoint, trials: &[Trial], came: 
     found
 }
 
-/// What differs between the periods where they don't have these events, and without samples that `never` count.
+/// What differs between the periods where they don't have these events, and without samples that `never` count; and the rows of the events.
 fn courses_without(
     events: &[Vec<Event>],
     never: &[Vec<bool>],
     records: &mut [Record],
     operating_point: &OperatingPoint,
-) -> Courses {
-    for ((record, never), events) in records.iter_mut().zip(never).zip(events) {
-        let own = transient::mask(record, events, EVENT_MARGIN_S);
-        record.mask(record::either(never, &own));
-    }
-    Deviations::of(records, operating_point).courses(&[])
+) -> (Courses, Vec<Vec<bool>>) {
+    let of_run = |((record, never), events): ((&mut Record, &Vec<bool>), &Vec<Event>)| {
+        let rows = transient::mask(record, events, EVENT_MARGIN_S);
+        record.mask(record::either(never, &rows));
+        rows
+    };
+    let rows = records.iter_mut().zip(never).zip(events).map(of_run).collect();
+    (Deviations::of(records, operating_point).courses(&[]), rows)
 }
 
 /// Begin of the first run \[s\].

@@ -1,6 +1,7 @@
 //! The periods of one run on a grid that is as fine as slow effects need, and what is taken off them.
 
 use super::EVENT_MARGIN_S;
+use super::once::MAX_PERIODS;
 use crate::fold::Cosines;
 use nalgebra::DMatrix;
 use plumbline_identify::signal::time_to_nearest;
@@ -32,7 +33,8 @@ pub(super) struct Record<'a> {
     pub samples: usize,
     /// The mean motion.
     pub motion: Motion,
-    /// The motion of every period by itself, P N rows.
+    /// The motion of every period by itself, P N rows; of two the mean one, for no event is told from the rest there, and a body would explain what an
+    /// arm does that gives way.
     pub own: Motion,
     /// Deviations of the torques from their mean, P N x n \[Nm\].
     pub tau: DMatrix<f64>,
@@ -61,7 +63,7 @@ impl Record<'_> {
             ddq: blocks(&of.ddq, step),
             ..of.clone()
         };
-        let own = on_grid(&experiment.own_motion()?);
+        let mut own = on_grid(&experiment.own_motion()?);
         let tau = blocks(&repeats.tau, step);
         let mut uncounted: Vec<bool> = repeats.counted.chunks_exact(step).map(|rows| rows.contains(&false)).collect();
         // Where something came, the mean of the recorded periods ends elsewhere than it begins, and its accelerations have a blow there. Within the run
@@ -71,6 +73,11 @@ impl Record<'_> {
         uncounted[rows.saturating_sub(ends)..].fill(true);
         let mean = |x: &DMatrix<f64>| mean_of_periods(x, &uncounted, all / step);
         let motion = Motion { q: mean(&own.q), dq: mean(&own.dq), ddq: mean(&own.ddq), ..on_grid(&experiment.motion) };
+        if tau.nrows() <= MAX_PERIODS * motion.samples() {
+            let repeated =
+                |x: &DMatrix<f64>| DMatrix::from_fn(tau.nrows(), x.ncols(), |row, j| x[(row % x.nrows(), j)]);
+            own = Motion { q: repeated(&motion.q), dq: repeated(&motion.dq), ddq: repeated(&motion.ddq), ..own };
+        }
         let masked = uncounted.clone();
         let mut record = Record {
             experiment,
@@ -135,12 +142,8 @@ impl Record<'_> {
     /// Lets the samples in these stretches of the run not count.
     pub fn mask_spans(&mut self, spans: &[ExcludedSpan]) {
         let out = |row: usize| spans.iter().any(|span| (span.from..span.to).contains(&self.time(row)));
-        self.mask_more(&(0..self.masked.len()).map(out).collect::<Vec<_>>());
-    }
-
-    /// Lets these samples not count beside those that don't already.
-    pub fn mask_more(&mut self, more: &[bool]) {
-        self.mask(either(&self.masked, more));
+        let more: Vec<bool> = (0..self.masked.len()).map(out).collect();
+        self.mask(either(&self.masked, &more));
     }
 
     /// Whether nothing counts from one row up to another.

@@ -10,7 +10,7 @@ use nalgebra::DMatrix;
 use plumbline_identify::{Experiment, Repeats};
 use plumbline_model::term::effect::Spec;
 
-/// Rows between which something comes once at most.
+/// Rows between which the same effect comes once at most.
 pub(super) const MIN_ROWS_APART: usize = 100;
 
 /// An effect that comes within a run and stays to its end.

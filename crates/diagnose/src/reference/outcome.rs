@@ -92,8 +92,7 @@ impl Comparison<'_> {
         let Changes { effects, first, .. } = self.changes;
         let score = |one: &crate::Scored| {
             let spec = &one.item.spec;
-            let chosen =
-                self.kept.iter().any(|&k| (effects[k].spec.family, effects[k].spec.site) == (spec.family, spec.site));
+            let chosen = self.kept.iter().any(|&k| effects[k].spec.is_same_effect(spec));
             Score { label: spec.to_string(), score: one.score, chosen, equivalent: false }
         };
         first.iter().take(MAX_LISTED_SCORES).map(score).collect()

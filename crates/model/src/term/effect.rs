@@ -77,6 +77,11 @@ impl Spec {
         family(self.family).ok_or_else(|| EffectError::Family { id: self.family.to_string() })
     }
 
+    /// Whether the other is the same effect at the same place, whatever form and settings it has.
+    pub fn is_same_effect(&self, other: &Spec) -> bool {
+        (self.family, self.site) == (other.family, other.site)
+    }
+
     /// Whether it is a body on the last link.
     pub fn is_on_last_link(&self) -> bool {
         self.family().is_ok_and(|family| family.rare.in_bodies == InBodies::LastLink)
