@@ -231,6 +231,35 @@ enum PlumblineCode plumbline_external(struct PlumblineModel *model,
                                       double *half_width,
                                       uint32_t *contact);
 
+// Connects to the daemon of `robot`, waiting up to `timeout_s` seconds for it. A value older than `stale_after_ms` is not usable.
+//
+// # Safety
+// `robot` ends with a zero, `feed_forward` may be written to; either may be null.
+enum PlumblineCode plumbline_feed_forward_open(const char *robot,
+                                               uint64_t stale_after_ms,
+                                               double timeout_s,
+                                               struct PlumblineFeedForward **feed_forward);
+
+// The latest value with its present age; PLUMBLINE_NO_VALUE before the first, and before the second of a daemon on another machine. The same value is returned until a newer one arrives. The first call
+// after the daemon's start maps memory; later ones read it.
+//
+// # Safety
+// `feed_forward` is null or from this library, `torque` is null or may be written to.
+enum PlumblineCode plumbline_feed_forward_latest(struct PlumblineFeedForward *feed_forward,
+                                                 struct PlumblineTorque *torque);
+
+// PLUMBLINE_OK while the daemon's process (on another machine: the tunnel's) runs, else PLUMBLINE_DAEMON_GONE. Reads files: not for the control loop.
+//
+// # Safety
+// `feed_forward` is null or from this library.
+enum PlumblineCode plumbline_feed_forward_daemon(const struct PlumblineFeedForward *feed_forward);
+
+// Frees a client; null is allowed.
+//
+// # Safety
+// `feed_forward` is null or from this library, and not used afterwards.
+void plumbline_feed_forward_free(struct PlumblineFeedForward *feed_forward);
+
 // Opens the publisher of the states of `robot` with n joints. Needs no daemon.
 //
 // # Safety
@@ -260,35 +289,6 @@ uint64_t plumbline_guest_lost(const struct PlumblineGuest *guest);
 // # Safety
 // `guest` is null or from this library, and not used afterwards.
 void plumbline_guest_free(struct PlumblineGuest *guest);
-
-// Connects to the daemon of `robot`, waiting up to `timeout_s` seconds for it. A value older than `stale_after_ms` is not usable.
-//
-// # Safety
-// `robot` ends with a zero, `feed_forward` may be written to; either may be null.
-enum PlumblineCode plumbline_feed_forward_open(const char *robot,
-                                               uint64_t stale_after_ms,
-                                               double timeout_s,
-                                               struct PlumblineFeedForward **feed_forward);
-
-// The latest value with its present age; PLUMBLINE_NO_VALUE before the first, and before the second of a daemon on another machine. The same value is returned until a newer one arrives. The first call
-// after the daemon's start maps memory; later ones read it.
-//
-// # Safety
-// `feed_forward` is null or from this library, `torque` is null or may be written to.
-enum PlumblineCode plumbline_feed_forward_latest(struct PlumblineFeedForward *feed_forward,
-                                                 struct PlumblineTorque *torque);
-
-// PLUMBLINE_OK while the daemon's process (on another machine: the tunnel's) runs, else PLUMBLINE_DAEMON_GONE. Reads files: not for the control loop.
-//
-// # Safety
-// `feed_forward` is null or from this library.
-enum PlumblineCode plumbline_feed_forward_daemon(const struct PlumblineFeedForward *feed_forward);
-
-// Frees a client; null is allowed.
-//
-// # Safety
-// `feed_forward` is null or from this library, and not used afterwards.
-void plumbline_feed_forward_free(struct PlumblineFeedForward *feed_forward);
 
 #ifdef __cplusplus
 }  // extern "C"
