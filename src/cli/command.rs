@@ -108,9 +108,10 @@ fn words(status: &Status) -> Vec<String> {
     };
     let mut lines = vec![format!("{}: {progress}; {} (process {})", status.robot, status.job, status.process)];
     let doubt = status.doubt.as_ref().map_or(String::new(), |why| format!(", doubtful: {why}"));
-    lines.push(match status.model {
-        0 => "model: none".into(),
-        model => format!("model: {}{doubt}", identity(model)),
+    lines.push(match (status.model, &status.without_model) {
+        (0, Some(why)) => format!("model: none, the rest is driven without one: {why}"),
+        (0, None) => "model: none".into(),
+        (model, _) => format!("model: {}{doubt}", identity(model)),
     });
     lines.extend(status.offered.as_ref().map(|offered| {
         format!(

@@ -21,6 +21,19 @@ pub struct Accepted {
     pub noise: Vec<f64>,
 }
 
+/// Why a model is not admitted.
+pub struct NotAdmitted {
+    pub bad: BadInput,
+    /// Nothing is wrong with the model but that the arm's torques are no longer its own: something has come or changed since they were recorded.
+    pub contradicted: bool,
+}
+
+impl From<BadInput> for NotAdmitted {
+    fn from(bad: BadInput) -> NotAdmitted {
+        NotAdmitted { bad, contradicted: false }
+    }
+}
+
 /// The last second of the arm: every [`DECIMATION`]th record.
 #[derive(Default)]
 pub struct Recent(VecDeque<Record>);
@@ -114,12 +127,14 @@ impl Models {
         mounting: &Mounting,
         gravity: &Vector3<f64>,
         limits: &Limits,
-    ) -> Result<(), BadInput> {
+    ) -> Result<(), NotAdmitted> {
         model.valid_in(mounting).map_err(|refused| {
             BadInput::new(file, "key `kind`", refused, "a model that holds in the present mounting")
         })?;
-        self.plausible(model, gravity, limits)
-            .map_err(|why| BadInput::new(file, "parameters", why, "a model of this arm"))
+        self.plausible(model, gravity, limits).map_err(|why| NotAdmitted {
+            bad: BadInput::new(file, "parameters", why, "a model of this arm"),
+            contradicted: matches!(why, Implausible::Measured { .. }),
+        })
     }
 
     /// Whether a model's torques go with what the arm has measured in the last second.

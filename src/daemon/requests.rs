@@ -1,7 +1,7 @@
 //! Answers to requests.
 
 use super::check::{Checked, check};
-use super::models::Accepted;
+use super::models::{Accepted, NotAdmitted};
 use super::state::DaemonState;
 use crate::config::job::Adopt;
 use crate::failure::Failure;
@@ -85,11 +85,11 @@ impl DaemonState {
         match checked {
             Checked::Offered(model) => match self.accept("offered model", *model) {
                 Ok(model) => Response::ModelAccepted { model },
-                Err(bad) => refused(bad),
+                Err(refusal) => self.refuse_offer(refusal),
             },
             Checked::Proposed(model, proposal) => match self.admit("proposed model", &model) {
                 Ok(()) => self.propose(*model, proposal),
-                Err(bad) => refused(bad),
+                Err(NotAdmitted { bad, .. }) => refused(bad),
             },
             Checked::Other(request) => self.answer(request, served, controls),
             Checked::Refused(response) | Checked::Garbled(response) => response,
@@ -162,6 +162,18 @@ impl DaemonState {
         refused("nothing waits for a permission to go on")
     }
 
+    /// Refuses the model of the job. Where the arm has changed since it was recorded, the rest is driven as it was until then, without a model:
+    /// what is recorded tells what has changed.
+    fn refuse_offer(&mut self, NotAdmitted { bad, contradicted }: NotAdmitted) -> Response {
+        let reason = bad.to_string();
+        if contradicted && self.models.served().is_none() {
+            tracing::warn!("no torque is served, and the rest of the job is driven without a model: {reason}");
+            self.programme.without_model = Some(reason.clone());
+            self.programme.await_no_model();
+        }
+        refused(reason)
+    }
+
     /// Holds a proposed model, or serves it where the job says so.
     fn propose(&mut self, checked: Accepted, proposal: Proposal) -> Response {
         let Proposal { what, since, joint, before, after } = &proposal;
@@ -181,10 +193,10 @@ impl DaemonState {
     pub fn accept_text(&mut self, path: &Path, text: &str) -> Result<u64, Failure> {
         let file = path.display().to_string();
         let checked = check(&self.setup.robot, &self.mounting, &file, text)?;
-        Ok(self.accept(&file, checked)?)
+        self.accept(&file, checked).map_err(|refusal| refusal.bad.into())
     }
 
-    fn accept(&mut self, file: &str, checked: Accepted) -> Result<u64, BadInput> {
+    fn accept(&mut self, file: &str, checked: Accepted) -> Result<u64, NotAdmitted> {
         self.admit(file, &checked)?;
         let remark = self.gravity.try_out(&checked).map_err(|off| {
             BadInput::new(file, "mounting", off, "declared, measured and implied directions of gravity that agree")
@@ -196,7 +208,7 @@ impl DaemonState {
     }
 
     /// Checks a model against the present mounting and the last second of the arm.
-    pub fn admit(&mut self, file: &str, checked: &Accepted) -> Result<(), BadInput> {
+    pub fn admit(&mut self, file: &str, checked: &Accepted) -> Result<(), NotAdmitted> {
         let gravity = self.gravity.served();
         self.models.admit(file, &checked.model, &self.mounting, &gravity, &self.setup.robot.limits)
     }

@@ -31,6 +31,17 @@ pub struct ProgrammeState {
     pub recoveries: u32,
     /// The end of the recording was requested, of an arm that is only listened to.
     pub stop_listening: bool,
+    /// Why the identified model is not served, where the rest is driven without it.
+    pub without_model: Option<String>,
+}
+
+impl ProgrammeState {
+    /// What waited for a model goes on.
+    pub fn await_no_model(&mut self) {
+        if self.progress == Progress::AwaitingModel {
+            self.progress = Progress::Driving;
+        }
+    }
 }
 
 #[derive(Default)]
@@ -258,9 +269,8 @@ impl DaemonState {
             model.id,
             model.model.kind()
         );
-        if self.programme.progress == Progress::AwaitingModel {
-            self.programme.progress = Progress::Driving;
-        }
+        self.programme.without_model = None;
+        self.programme.await_no_model();
         self.models.serve(model)
     }
 

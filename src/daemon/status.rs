@@ -38,6 +38,7 @@ impl DaemonState {
             dropped_records: sum(|of| of.dropped_records),
             model: self.models.served_id(),
             doubt: self.models.why_doubted().cloned(),
+            without_model: self.programme.without_model.clone(),
             offered: self.models.offer(),
             mounting: Some(MountingMessage { rho, phi, gravity: gravity.into() }),
             gravity: Some(self.gravity.message(now_ns())),

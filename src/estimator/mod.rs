@@ -268,6 +268,15 @@ fn identify(
             tracing::info!("the daemon serves model {model:016x}");
             Ok(None)
         }
+        // What has come to the arm is in the recordings, for the diagnosis to find.
+        Response::Refused { reason } if status_of(id, epoch)?.without_model.is_some() => {
+            let note = format!(
+                "when the model was identified, the arm no longer agreed with it, and was driven on without its torque: {reason}"
+            );
+            tracing::warn!("{note}");
+            results.note(note);
+            Ok(None)
+        }
         Response::Refused { reason } => Ok(Some(reason)),
         other => Err(Failure::job(format!("unexpected response of the daemon to a model: {other:?}"))),
     }

@@ -110,6 +110,9 @@ impl Watched {
                 new.doubt.as_ref().map_or("the torque is trusted again".into(), |why| format!("doubtful: {why}")),
             );
         }
+        if old.without_model != new.without_model {
+            changes.extend(new.without_model.as_ref().map(|why| format!("no model is served: {why}")));
+        }
         if old.offered != new.offered {
             changes.extend(new.offered.as_ref().map(|offered| format!("proposed: {}", offered.proposal.what)));
         }

@@ -172,6 +172,9 @@ pub struct Status {
     /// Why the served torque is doubtful; absent while it is trusted.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub doubt: Option<String>,
+    /// Why the identified model is not served, where the rest of the job is driven without it; absent otherwise.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub without_model: Option<String>,
     /// Proposed model that is held for `adopt` or `reject`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub offered: Option<HeldModel>,

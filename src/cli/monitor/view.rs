@@ -95,7 +95,8 @@ fn remark(status: &Status) -> Line<'_> {
     }
     let stopped = status.stopped.as_ref().map(|why| format!("stopped: {why}"));
     let degraded = status.degraded.first().map(|why| format!("degraded, not real-time: {why}"));
-    stopped.or(degraded).map_or(Line::raw(""), |text| Line::raw(text).red())
+    let unserved = status.without_model.as_ref().map(|why| format!("no model is served: {why}"));
+    stopped.or(degraded).or(unserved).map_or(Line::raw(""), |text| Line::raw(text).red())
 }
 
 /// One row per joint under a heading.

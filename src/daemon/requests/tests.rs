@@ -238,10 +238,17 @@ fn what_the_arm_measured_last_refuses_a_model_unless_the_trusted_one_is_as_wrong
     };
     let (mut state, _place) = new_state();
     measured(&mut state);
-    assert!(refusal(ask(&mut state, offer())).contains("joint 2"));
+    state.programme.progress = Progress::AwaitingModel;
     assert!(refusal(proposed(&mut state, another(1))).contains("joint 2"));
+    assert_eq!(state.programme.progress, Progress::AwaitingModel);
+    let why = refusal(ask(&mut state, offer()));
+    assert!(why.contains("joint 2"));
+    // The rest of the job does not wait for another one.
+    let status = state.status(&Served::default(), None);
+    assert_eq!((status.without_model, status.progress), (Some(why), Progress::Driving));
     state.models.recent.clear();
     let model = offered(&mut state, MODEL.into());
+    assert_eq!(state.programme.without_model, None);
     measured(&mut state);
     // Another one is no worse than the served one.
     let second = offered(&mut state, another(1));
