@@ -7,6 +7,7 @@
 
 use super::coming::{self, Coming};
 use super::drift::{Along, Course, Drift, Drifting, Shared};
+use super::fitted::{self, Fitted, Moments};
 use super::record::Record;
 use super::step::{self, Step};
 use nalgebra::{DMatrix, DVector};
@@ -25,8 +26,6 @@ const MIN_SCORE: f64 = 10.0;
 /// Least ratio of what a drift with own parameters in each run does in the run in which it does least to that in which it does most: below it the
 /// runs do not have the same drift.
 const MIN_RUN_RATIO: f64 = 0.25;
-/// Rounds of weights.
-const WEIGHT_ROUNDS: usize = 3;
 /// Evaluations of the search for a time constant.
 const MAX_EVALUATIONS: usize = 8;
 
@@ -84,13 +83,6 @@ impl Courses {
         }
         tau
     }
-}
-
-struct Fitted {
-    theta: DVector<f64>,
-    covariance: DMatrix<f64>,
-    evidence: f64,
-    explained: f64,
 }
 
 /// The runs, and what their deviations are in the band.
@@ -278,59 +270,26 @@ impl Deviations<'_> {
         Trial { what: What::Drift(what, course), width: what.parameters().len(), shared, columns, along }
     }
 
-    /// Squares of a joint's coefficients in each band, with how many independent ones there are.
-    fn squares(&self, joint: usize, rows: &Rows) -> [(f64, f64); BAND_EDGES_HZ.len()] {
-        let mut sums = [(0.0, 0.0); BAND_EDGES_HZ.len()];
-        for ((values, bands), freedom) in rows.iter().zip(&self.bands).zip(&self.freedom) {
-            let free = freedom[joint];
-            for (value, &band) in values.iter().zip(bands) {
-                sums[band] = (sums[band].0 + value * value, sums[band].1 + free);
+    /// A joint's moments with the columns of a trial, band by band.
+    fn moments(&self, trial: &Trial, (joint, columns): &(usize, Vec<Vec<Vec<f64>>>), rows: &[Rows]) -> Vec<Moments> {
+        let width = trial.width;
+        let count = width * if trial.common() { 1 } else { self.records.len() };
+        let mut moments = vec![Moments::new(count); BAND_EDGES_HZ.len()];
+        for (run, own) in columns.iter().enumerate() {
+            let first = if trial.common() { 0 } else { run * width };
+            let freedom = self.freedom[run][*joint];
+            let mut row = vec![0.0; own.len()];
+            for (k, (&value, &band)) in rows[*joint][run].iter().zip(&self.bands[run]).enumerate() {
+                row.iter_mut().zip(own).for_each(|(row, column)| *row = column[k]);
+                moments[band].add(first, &row, value, freedom);
             }
         }
-        sums
+        moments
     }
 
     fn fit(&self, trial: &Trial, rows: &[Rows]) -> Option<Fitted> {
-        let width = trial.width;
-        let sets = if trial.common() { 1 } else { self.records.len() };
-        let before: Vec<_> = trial.columns.iter().map(|(joint, _)| self.squares(*joint, &rows[*joint])).collect();
-        let mut after = before.clone();
-        let (mut theta, mut covariance) = (DVector::zeros(width * sets), DMatrix::zeros(width * sets, width * sets));
-        for _ in 0..WEIGHT_ROUNDS {
-            let (mut g, mut b) = (DMatrix::zeros(width * sets, width * sets), DVector::zeros(width * sets));
-            for ((joint, columns), squares) in trial.columns.iter().zip(&after) {
-                let weights = squares.map(|(square, count)| if square > 0.0 { count / square } else { 0.0 });
-                for (run, own) in columns.iter().enumerate() {
-                    let first = if trial.common() { 0 } else { run * width };
-                    for (i, left) in own.iter().enumerate() {
-                        let weighed = || left.iter().zip(&self.bands[run]).map(|(value, &band)| weights[band] * value);
-                        b[first + i] += weighed().zip(&rows[*joint][run]).map(|(c, r)| c * r).sum::<f64>();
-                        for (k, right) in own.iter().enumerate() {
-                            g[(first + i, first + k)] += weighed().zip(right).map(|(a, c)| a * c).sum::<f64>();
-                        }
-                    }
-                }
-            }
-            covariance = g.cholesky()?.inverse();
-            theta = &covariance * b;
-            for ((joint, columns), squares) in trial.columns.iter().zip(&mut after) {
-                *squares = self.squares(*joint, &less(&rows[*joint], columns, &theta, trial.common()));
-            }
-        }
-        let mut evidence = 0.0;
-        let (mut square_before, mut square_after) = (0.0, 0.0);
-        for ((before, count), (after, _)) in before.iter().flatten().zip(after.iter().flatten()) {
-            if *before > 0.0 {
-                evidence += count * (before / after.max(1e-12 * before)).ln();
-            }
-            (square_before, square_after) = (square_before + before, square_after + after);
-        }
-        Some(Fitted {
-            theta,
-            covariance,
-            evidence,
-            explained: 1.0 - square_after / square_before.max(f64::MIN_POSITIVE),
-        })
+        let moments: Vec<_> = trial.columns.iter().map(|of_joint| self.moments(trial, of_joint, rows)).collect();
+        fitted::fit(&moments)
     }
 
     /// Whether a drift with own parameters in each run is one: in all of them alike in sign and about as strong.

@@ -11,6 +11,7 @@ mod courses;
 mod drift;
 mod effects;
 mod events;
+mod fitted;
 mod once;
 mod outlier;
 mod record;
