@@ -229,12 +229,17 @@ const DATASET: &str = "name = \"small\"\nrobot = \"panda\"\nmounting = { rho = 1
 /// The words of `plumbline check` on a folder with this file, which must be refused.
 #[track_caller]
 fn refusal(place: &Place, name: &str, bytes: &[u8]) -> String {
+    refusal_of(place, name, "a.csv", bytes)
+}
+
+#[track_caller]
+fn refusal_of(place: &Place, name: &str, file: &str, bytes: &[u8]) -> String {
     let folder = place.path().join(name);
     std::fs::create_dir_all(&folder).unwrap();
-    std::fs::write(folder.join("dataset.toml"), DATASET).unwrap();
-    std::fs::write(folder.join("a.csv"), bytes).unwrap();
+    std::fs::write(folder.join("dataset.toml"), DATASET.replace("a.csv", file)).unwrap();
+    std::fs::write(folder.join(file), bytes).unwrap();
     let done = Done::of(plumbline().arg("check").arg(&folder)).expect_code(2);
-    assert!(done.err.contains("a.csv") && done.err.contains(", expected "), "{name}: {}", done.output());
+    assert!(done.err.contains(file) && done.err.contains(", expected "), "{name}: {}", done.output());
     done.err
 }
 
@@ -322,4 +327,29 @@ fn the_same_checks_stand_before_a_fit_and_in_the_report() {
         Done::of(plumbline().arg("compare").arg(&model).arg(&folder).arg("--out").arg(place.path().join("none")));
     assert!(compared.expect_code(2).err.contains("are the positions in degrees?"));
     assert!(!place.path().join("none").exists());
+}
+
+#[test]
+fn a_recording_that_is_no_mcap_file_or_a_part_of_one_is_refused_in_words() {
+    let place = Place::new("check-mcap");
+    let folder = place.path().join("good");
+    let mut set = clean(false, false);
+    set.runs.truncate(1);
+    set.runs[0].data.name = "a.mcap".into();
+    set.write(&folder).unwrap();
+    let whole = std::fs::read(folder.join("a.mcap")).unwrap();
+    let cases: [(&str, &[u8], &str); 3] = [
+        ("empty", b"", "an empty file"),
+        ("text", b"t,q1,tau1\n0,0,0\n", "an MCAP file"),
+        ("truncated", &whole[..whole.len() / 2], "a.mcap"),
+    ];
+    for (name, bytes, words) in cases {
+        let said = refusal_of(&place, name, "a.mcap", bytes);
+        assert!(said.contains(words), "{name}: {said}");
+        // The work on it refuses it alike, and leaves nothing behind.
+        let out = place.path().join(format!("{name}-out"));
+        let done =
+            Done::of(plumbline().arg("identify").arg(place.path().join(name)).arg("--out").arg(&out)).expect_code(2);
+        assert!(done.err.contains("a.mcap") && !out.join("model.toml").exists(), "{name}: {}", done.output());
+    }
 }

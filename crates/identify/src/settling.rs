@@ -19,8 +19,8 @@ const SETTLED_WINDOWS: usize = 3;
 
 /// A start that lasts for more windows has to decay meanwhile: what does not came or went within the period.
 const MIN_DECAY_WINDOWS: usize = 5;
-/// Largest ratio of the mean squares of its second half and its first.
-const MAX_DECAYED_RATIO: f64 = 0.5;
+/// Limits of the largest ratio of the mean square of its last third to that before: a strong one decays more than a weak one before it is over.
+const DECAYED_RATIOS: [f64; 2] = [0.2, 0.5];
 
 /// Samples at the start of the first period in which its positions differ from those of the other periods by more than periods differ
 /// usually. `q`, P N x n \[rad\], `dt` apart \[s\]; samples with `left_out` set are ignored. 0 for a single period.
@@ -38,8 +38,13 @@ pub fn settling(q: &DMatrix<f64>, left_out: &[bool], samples: usize, dt: f64) ->
         let of = |ratios: &Vec<Option<f64>>| ratios[windows.clone()].iter().copied().sum::<Option<f64>>();
         Some(joints.iter().map(of).sum::<Option<f64>>()? / windows.len() as f64)
     };
-    let lasts = |(early, late): (f64, f64)| late > MAX_DECAYED_RATIO * early;
-    if end > MIN_DECAY_WINDOWS && mean(0..end / 2).zip(mean(end / 2..end)).is_some_and(lasts) {
+    // Half of the steps, on a logarithmic scale, that a steady decay to the least ratio that counts would take.
+    let lasts = |(early, late): (f64, f64)| {
+        let [least, most] = DECAYED_RATIOS;
+        late > (MIN_ENERGY_RATIO / early).cbrt().clamp(least, most) * early
+    };
+    let last_third = end - end / 3;
+    if end > MIN_DECAY_WINDOWS && mean(0..last_third).zip(mean(last_third..end)).is_some_and(lasts) {
         return 0;
     }
     // One window more, in which the rest of it vanishes.
@@ -142,6 +147,23 @@ mod tests {
             // A load is picked up after 2.9 s: until then the controller is elsewhere by 0.5 mrad.
             let q = positions(300 + seed, 5, |t| if t < 2.9 { 5e-4 } else { 0.0 });
             assert_eq!(settling(&q, &vec![false; q.nrows()], SAMPLES, DT), 0, "seed {seed}");
+            // After a start of its own, and in another pose.
+            let level = |t: f64| [2e-3, 1.4e-3, 0.0][usize::from(t > 1.5) + usize::from(t > 2.2)];
+            let q = positions(400 + seed, 5, |t| level(t) + 1e-3 * (-t / 0.2).exp());
+            assert_eq!(settling(&q, &vec![false; q.nrows()], SAMPLES, DT), 0, "seed {seed}");
+        }
+    }
+
+    #[test]
+    fn a_motion_that_is_drawn_in_has_a_start() {
+        for seed in 0..10 {
+            // From rest to the whole motion within 1.5 s.
+            let q = positions(500 + seed, 4, |t| {
+                let s = (t / 1.5).min(1.0);
+                -(1.0 - s * s * s * (10.0 - 15.0 * s + 6.0 * s * s)) * (t * 2.0 * std::f64::consts::PI / 5.0).sin()
+            });
+            let found = settling(&q, &vec![false; q.nrows()], SAMPLES, DT) as f64 * DT;
+            assert!((1.2..=1.8).contains(&found), "seed {seed}: {found} s");
         }
     }
 
