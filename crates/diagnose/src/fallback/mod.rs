@@ -19,9 +19,13 @@ use super::fit::group;
 use super::input::Settings;
 use super::outcome::{LACK_OF_FIT_RATIO, Unexplained};
 use super::state::State;
+use nalgebra::{DMatrix, DVector};
 use plumbline_core::parallel;
 use screen::Screen;
 
+/// Standard deviations above what is predicted of the same residual elsewhere from which on a dependence is no chance: by the distribution of the
+/// largest of many (Gumbel) 0.3 % of joints of noise alone are beyond.
+const MIN_CHANCE_DEVIATIONS: f64 = 4.0;
 /// A residual of which the best variables predict less than this share is flat.
 pub const MIN_DEPENDENT_R2: f64 = 0.1;
 /// A second variable has to add so much to the share that one predicts.
@@ -127,6 +131,40 @@ pub fn lacks(evidence: &Evidence, state: &State, joint: usize, settings: &Settin
     state.unmodelled(evidence, joint).sqrt() > threshold && lack > LACK_OF_FIT_RATIO
 }
 
+/// What `of` says to the functions of each variable, and to those of each pair of positions and velocities.
+fn each_function<T: Send>(
+    courses: &[Course],
+    threads: usize,
+    of: impl Fn(Vec<Variable>, &[DMatrix<f64>]) -> T + Sync,
+) -> [Vec<T>; 2] {
+    let singles = parallel(courses, threads, |course| of(vec![course.variable], &course.functions()));
+    let of_pairs: Vec<(&Course, Vec<_>)> = courses
+        .iter()
+        .filter(|course| matches!(course.variable, Variable::Position(_) | Variable::Velocity(_)))
+        .map(|course| (course, course.coarse()))
+        .collect();
+    let both: Vec<(usize, usize)> =
+        (0..of_pairs.len()).flat_map(|a| (a + 1..of_pairs.len()).map(move |b| (a, b))).collect();
+    let pair = |&(a, b): &(usize, usize)| {
+        let ((first, left), (second, right)) = (&of_pairs[a], &of_pairs[b]);
+        of(vec![first.variable, second.variable], &products(left, right))
+    };
+    [singles, parallel(&both, threads, pair)]
+}
+
+/// Whether the best of all variables may predict as much of a residual that depends on none: of slow noise, of which a motion without repeats has
+/// few independent parts. The residual itself, moved to other parts of the motion, tells what is usual.
+pub fn may_be_chance(evidence: &Evidence, state: &State, residual: &Residual, settings: &Settings) -> bool {
+    let screen = Screen::of(evidence, state, residual.joint);
+    let elsewhere = screen.elsewhere();
+    let of_each = |_: Vec<Variable>, functions: &[DMatrix<f64>]| screen.predicted_of(functions, &elsewhere);
+    let mut most = DVector::from_element(elsewhere.len(), f64::NEG_INFINITY);
+    for r2 in each_function(&Course::all(evidence), settings.threads, of_each).into_iter().flatten() {
+        most.iter_mut().zip(r2).for_each(|(most, r2)| *most = most.max(r2));
+    }
+    residual.r2() < most.mean() + MIN_CHANCE_DEVIATIONS * most.variance().sqrt()
+}
+
 /// Analyses the residual of one joint, from 0.
 pub fn unexplained(evidence: &Evidence, state: &State, joint: usize, settings: &Settings) -> Residual {
     let courses = Course::all(evidence);
@@ -135,21 +173,9 @@ pub fn unexplained(evidence: &Evidence, state: &State, joint: usize, settings: &
         list.sort_by(|a, b| b.r2.total_cmp(&a.r2));
         list
     };
-    let single =
-        |course: &Course| Predictor { variables: vec![course.variable], r2: screen.predicted(&course.functions()) };
-    let singles = sorted(parallel(&courses, settings.threads, single));
-    let of_pairs: Vec<(&Course, Vec<_>)> = courses
-        .iter()
-        .filter(|course| matches!(course.variable, Variable::Position(_) | Variable::Velocity(_)))
-        .map(|course| (course, course.coarse()))
-        .collect();
-    let both: Vec<(usize, usize)> =
-        (0..of_pairs.len()).flat_map(|a| (a + 1..of_pairs.len()).map(move |b| (a, b))).collect();
-    let pair = |&(a, b): &(usize, usize)| Predictor {
-        variables: vec![of_pairs[a].0.variable, of_pairs[b].0.variable],
-        r2: screen.predicted(&products(&of_pairs[a].1, &of_pairs[b].1)),
-    };
-    let pairs = sorted(parallel(&both, settings.threads, pair));
+    let predictor =
+        |variables: Vec<Variable>, functions: &[DMatrix<f64>]| Predictor { variables, r2: screen.predicted(functions) };
+    let [singles, pairs] = each_function(&courses, settings.threads, predictor).map(sorted);
 
     let lack = lack_of_fit(evidence, state, joint);
     let best = |list: &[Predictor]| list.first().map_or(f64::NEG_INFINITY, |one| one.r2);

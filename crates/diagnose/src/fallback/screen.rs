@@ -76,6 +76,11 @@ impl Screen<'_> {
     /// Share of the residual's square, in units of the noise, that a combination of functions predicts where it was not fitted; below
     /// zero when it makes things worse. `functions` are given at the samples of each experiment, as [`Evidence::project`] wants them.
     pub fn predicted(&self, functions: &[DMatrix<f64>]) -> f64 {
+        self.predicted_of(functions, std::slice::from_ref(&self.residual))[0]
+    }
+
+    /// The same of each of several residuals.
+    pub fn predicted_of(&self, functions: &[DMatrix<f64>], residuals: &[Vec<DVector<f64>>]) -> Vec<f64> {
         let mut c = self.evidence.project(self.joint, functions);
         let scale = DVector::from_iterator(c.ncols(), c.column_iter().map(|column| column.norm().max(1e-12)));
         let absorbed = &self.spread * (&self.weighed * &c);
@@ -83,16 +88,35 @@ impl Screen<'_> {
         for (mut column, scale) in c.column_iter_mut().zip(&scale) {
             column /= *scale;
         }
-        let parts: Vec<Part> =
-            parts(self.evidence, &c).iter().zip(&self.residual).map(|(c, r)| Part::of(c, r)).collect();
-        let whole = parts.iter().fold(Part::zero(c.ncols()), |sum, part| sum + part);
-        let total: f64 = self.residual.iter().map(DVector::norm_squared).sum();
-        let ridge = |ridge: f64| {
-            let penalty = DMatrix::identity(c.ncols(), c.ncols()) * ridge;
-            let left: Option<f64> = parts.iter().map(|part| gained(&whole, part, &penalty)).sum();
-            left.map_or(f64::NEG_INFINITY, |gained| gained / total)
+        let c = parts(self.evidence, &c);
+        let share = |residual: &Vec<DVector<f64>>| {
+            let parts: Vec<Part> = c.iter().zip(residual).map(|(c, r)| Part::of(c, r)).collect();
+            let width = parts.first().map_or(0, |part| part.b.len());
+            let whole = parts.iter().fold(Part::zero(width), |sum, part| sum + part);
+            let total: f64 = residual.iter().map(DVector::norm_squared).sum();
+            let ridge = |ridge: f64| {
+                let penalty = DMatrix::identity(width, width) * ridge;
+                let left: Option<f64> = parts.iter().map(|part| gained(&whole, part, &penalty)).sum();
+                left.map_or(f64::NEG_INFINITY, |gained| gained / total)
+            };
+            RIDGE_RATIOS.into_iter().map(ridge).fold(f64::NEG_INFINITY, f64::max)
         };
-        RIDGE_RATIOS.into_iter().map(ridge).fold(f64::NEG_INFINITY, f64::max)
+        residuals.iter().map(share).collect()
+    }
+
+    /// The residual with its parts moved round to where other parts of the motion are, also in the opposite order: as much noise, as slow, that
+    /// depends on nothing.
+    pub fn elsewhere(&self) -> Vec<Vec<DVector<f64>>> {
+        let count = self.residual.len();
+        let moved = |place: &dyn Fn(usize) -> usize| -> Vec<DVector<f64>> {
+            let part = |(k, own): (usize, &DVector<f64>)| {
+                self.residual[place(k) % count].clone().resize_vertically(own.len(), 0.0)
+            };
+            self.residual.iter().enumerate().map(part).collect()
+        };
+        let forwards = (1..count).map(|by| moved(&|k| k + by));
+        let backwards = (0..count).map(|by| moved(&|k| 2 * count - 1 - k + by));
+        forwards.chain(backwards).collect()
     }
 }
 
