@@ -145,8 +145,8 @@ pub fn diagnose(input: &Input, settings: &Settings, progress: &Watch) -> Result<
     let joints: Vec<JointFacts> = (0..evidence.joints()).map(facts).collect();
     let screened = screened(&evidence, left, settings, &joints, &adequacy);
     let by_chance = |one: &Residual| !evidence.repeats() && fallback::may_be_chance(&evidence, left, one, settings);
-    let counts = |one: &&Residual| counts(one, &joints) && !by_chance(one);
-    let residuals: Vec<Residual> = screened.iter().filter(counts).cloned().collect();
+    let unexplained = screened.iter().filter(|one| counts(one, &joints) && !by_chance(one));
+    let residuals: Vec<Residual> = unexplained.cloned().collect();
     let mut curves = curves::of(&search, &base, left, &residuals);
     // With unknown noise a joint may be too quiet to be called unexplained and still follow a variable.
     let learning = Learning { delivery: &delivery, evidence: &evidence, identified: &identified };
