@@ -10,7 +10,7 @@ use plumbline_model::term::effect::{OperatingPoint, Spec};
 use std::ops::Range;
 
 /// A step is sought no nearer to the first and the last sample that count \[s\].
-const MARGIN_S: f64 = 0.25;
+const MARGIN_S: f64 = 0.5;
 /// Times apart at which it is sought first \[s\].
 const COARSE_S: f64 = 0.1;
 /// For so long after its begin a step acts along the run's own motion as it is \[s\],
