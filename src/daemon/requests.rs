@@ -169,7 +169,7 @@ impl DaemonState {
         if contradicted && self.models.served().is_none() {
             tracing::warn!("no torque is served, and the rest of the job is driven without a model: {reason}");
             self.programme.without_model = Some(reason.clone());
-            self.programme.await_no_model();
+            self.programme.go_on();
         }
         refused(reason)
     }

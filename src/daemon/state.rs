@@ -37,7 +37,7 @@ pub struct ProgrammeState {
 
 impl ProgrammeState {
     /// What waited for a model goes on.
-    pub fn await_no_model(&mut self) {
+    pub fn go_on(&mut self) {
         if self.progress == Progress::AwaitingModel {
             self.progress = Progress::Driving;
         }
@@ -270,7 +270,7 @@ impl DaemonState {
             model.model.kind()
         );
         self.programme.without_model = None;
-        self.programme.await_no_model();
+        self.programme.go_on();
         self.models.serve(model)
     }
 

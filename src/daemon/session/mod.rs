@@ -310,7 +310,7 @@ impl Session {
         self.take_events();
         while let Some(TimedEvent { event, cycle, .. }) = self.events.pop_front() {
             state.take_event(&event);
-            if self.gate.is_some() && !self.needs_no_model(state) && self.script.is_idle_after(&event) {
+            if self.gate.is_some() && self.needs_model(state) && self.script.is_idle_after(&event) {
                 state.programme.progress = Progress::AwaitingModel;
                 self.parked = Some(cycle);
                 self.shut_gate();
@@ -320,7 +320,7 @@ impl Session {
             }
             match self.script.after(&event) {
                 Next::Continue => {}
-                Next::AwaitModel if !self.needs_no_model(state) => {
+                Next::AwaitModel if self.needs_model(state) => {
                     state.programme.progress = Progress::AwaitingModel;
                     // Simulated time is paused while the estimator works.
                     self.shut_gate();
@@ -397,9 +397,9 @@ impl Session {
     /// Gives the loop what may be driven now. Simulated time that was paused for the model goes on when both are there, and the next motion begins
     /// the same number of cycles after the last one, however long the model took: a seed gives the same samples every time.
     fn give_orders(&mut self, state: &DaemonState) {
-        let needs_no_model = self.needs_no_model(state);
+        let needs_model = self.needs_model(state);
         if let Some(ended) = self.parked {
-            if !needs_no_model || self.gate.as_ref().is_some_and(|gate| gate.under_way() > 0) {
+            if needs_model || self.gate.as_ref().is_some_and(|gate| gate.under_way() > 0) {
                 return;
             }
             let rest = REST_FOR_MODEL.saturating_sub(self.newest.saturating_sub(ended)).max(1);
@@ -409,23 +409,24 @@ impl Session {
                 self.tape.ordered(given);
             }
         }
-        let given = self.give_next_orders(needs_no_model);
+        let given = self.give_next_orders(needs_model);
         // With a model, the gate was opened when that was handed over.
-        if self.parked.take().is_some() || (given && self.model == 0) {
+        let without = self.model == 0 && state.programme.without_model.is_some();
+        if self.parked.take().is_some() || (given && without) {
             self.open_gate();
         }
     }
 
-    /// Whether nothing waits for a model: the loop has one, or the rest is driven without.
-    fn needs_no_model(&self, state: &DaemonState) -> bool {
-        self.model != 0 || state.programme.without_model.is_some()
+    /// Whether the motions after the identification wait for a model: the loop has none, and the rest is not driven without.
+    fn needs_model(&self, state: &DaemonState) -> bool {
+        self.model == 0 && state.programme.without_model.is_none()
     }
 
     /// Whether there were any.
-    fn give_next_orders(&mut self, needs_no_model: bool) -> bool {
+    fn give_next_orders(&mut self, needs_model: bool) -> bool {
         let mut given_any = false;
         while self.handles.orders.room() > 0 {
-            let Some(Planned { order, given }) = self.script.next(needs_no_model) else { break };
+            let Some(Planned { order, given }) = self.script.next(!needs_model) else { break };
             // There is room: it was checked above, and this thread alone fills the ring.
             if self.handles.orders.give(order).is_ok() {
                 self.tape.ordered(given);

@@ -109,7 +109,7 @@ impl Session {
             return Err(Failure::job(falls(&vendor, state)));
         }
         // A programme that was interrupted after its identification motions.
-        let awaits_model = !session.needs_no_model(state) && session.script.awaits_model();
+        let awaits_model = session.needs_model(state) && session.script.awaits_model();
         session.give_orders(state);
         if unwanted {
             session.handles.controls.quit();

@@ -10,6 +10,9 @@ const MAX_WEIGHT_ROUNDS: usize = 100;
 /// and the change of the logarithm of `phi` at which they have settled: from what a strong step does to the deviations they take tens.
 const SETTLED_LOG_RATIO: f64 = 0.01;
 
+/// `phi` of each joint, band by band.
+type Noise = Vec<Vec<f64>>;
+
 /// Parameters that were fitted to deviations.
 pub(super) struct Fitted {
     pub theta: DVector<f64>,
@@ -62,49 +65,47 @@ fn noise(bands: &[Moments], theta: Option<&DVector<f64>>) -> Vec<f64> {
     bands.iter().map(|band| if band.square > 0.0 { mean(band).max(least) } else { least }).collect()
 }
 
-/// The fit at which the noise of each joint's bands, from `start` on, has settled.
-fn settled(moments: &[Vec<Moments>], start: Vec<Vec<f64>>) -> Option<Fitted> {
+/// Parameters and their covariance with the noise of each joint's bands that they leave, where it has settled from `phi` on.
+fn settled(moments: &[Vec<Moments>], mut phi: Noise) -> Option<(DVector<f64>, DMatrix<f64>, Noise)> {
     let width = moments.first()?.first()?.b.len();
-    let mut phi = start;
-    let (mut theta, mut covariance);
-    let mut rounds = 0;
+    let mut round = 1;
     loop {
         let (mut g, mut b) = (DMatrix::zeros(width, width), DVector::zeros(width));
         for (band, phi) in moments.iter().flatten().zip(phi.iter().flatten()).filter(|(_, phi)| **phi > 0.0) {
             g.zip_apply(&band.g, |sum, own| *sum += own / phi);
             b.axpy(1.0 / phi, &band.b, 1.0);
         }
-        covariance = g.cholesky()?.inverse();
-        theta = &covariance * b;
-        let next: Vec<Vec<f64>> = moments.iter().map(|bands| noise(bands, Some(&theta))).collect();
+        let covariance = g.cholesky()?.inverse();
+        let theta = &covariance * b;
+        let next: Noise = moments.iter().map(|bands| noise(bands, Some(&theta))).collect();
         let moved = |(new, old): (&f64, &f64)| *old > 0.0 && (new / old).ln().abs() > SETTLED_LOG_RATIO;
         let moves = next.iter().flatten().zip(phi.iter().flatten()).any(moved);
-        phi = next;
-        rounds += 1;
-        if !moves || rounds == MAX_WEIGHT_ROUNDS {
-            break;
+        if !moves || round == MAX_WEIGHT_ROUNDS {
+            return Some((theta, covariance, next));
         }
+        (phi, round) = (next, round + 1);
     }
-    let likelihood = |square: f64, count: f64, phi: f64| count * phi.ln() + square / phi;
-    let (mut evidence, mut square_before, mut square_after) = (0.0, 0.0, 0.0);
-    for (bands, after) in moments.iter().zip(&phi) {
-        let before = noise(bands, None);
-        for ((band, before), after) in bands.iter().zip(before).zip(after).filter(|((band, _), _)| band.square > 0.0) {
-            let left = band.left(&theta);
-            evidence += likelihood(band.square, band.count, before) - likelihood(left, band.count, *after);
-            (square_before, square_after) = (square_before + band.square, square_after + left);
-        }
-    }
-    let explained = 1.0 - square_after / square_before.max(f64::MIN_POSITIVE);
-    Some(Fitted { theta, covariance, evidence, explained })
 }
 
 /// The likelier of two fits: `phi` settles from what the deviations are without the trial, and from the noise at the highest frequencies, where a step
 /// is weakest. The moments are those of each joint, band by band.
 pub(super) fn fit(moments: &[Vec<Moments>]) -> Option<Fitted> {
-    let before: Vec<Vec<f64>> = moments.iter().map(|bands| noise(bands, None)).collect();
-    let white: Vec<Vec<f64>> = before.iter().map(|noise| vec![noise[noise.len() - 1]; noise.len()]).collect();
-    let fits = [before, white].into_iter().filter_map(|start| settled(moments, start));
+    let before: Noise = moments.iter().map(|bands| noise(bands, None)).collect();
+    let white: Noise = before.iter().map(|noise| vec![noise[noise.len() - 1]; noise.len()]).collect();
+    let likelihood = |square: f64, count: f64, phi: f64| count * phi.ln() + square / phi;
+    let fitted = |start: Noise| {
+        let (theta, covariance, phi) = settled(moments, start)?;
+        let (mut evidence, mut square_before, mut square_after) = (0.0, 0.0, 0.0);
+        let noises = before.iter().flatten().zip(phi.iter().flatten());
+        for (band, (before, after)) in moments.iter().flatten().zip(noises).filter(|(band, _)| band.square > 0.0) {
+            let left = band.left(&theta);
+            evidence += likelihood(band.square, band.count, *before) - likelihood(left, band.count, *after);
+            (square_before, square_after) = (square_before + band.square, square_after + left);
+        }
+        let explained = 1.0 - square_after / square_before.max(f64::MIN_POSITIVE);
+        Some(Fitted { theta, covariance, evidence, explained })
+    };
+    let fits = [before.clone(), white].into_iter().filter_map(fitted);
     fits.max_by(|a, b| a.evidence.total_cmp(&b.evidence))
 }
 

@@ -163,28 +163,28 @@ impl Spline {
         let centred = centring(&functions, &variables.splines());
         let columns = evidence.project(joint, &functions);
         let own = &columns * &centred;
-        let rest = parts(evidence, &DMatrix::from_columns(std::slice::from_ref(residual)));
-        let each: Vec<Part> =
-            parts(evidence, &own).iter().zip(&rest).map(|(c, r)| Part::of(c, &r.column(0).into_owned())).collect();
-        let whole = each.iter().fold(Part::zero(own.ncols()), |sum, part| sum + part);
+        let column = DMatrix::from_columns(std::slice::from_ref(residual));
+        let rest = parts(evidence, &column);
+        let each: Vec<Part> = parts(evidence, &own).iter().zip(&rest).map(|(c, r)| Part::of(c, r)).collect();
+        let whole = Part::whole(&each);
         let penalty = variables.penalty();
         let scale = whole.g.trace() / penalty.trace();
         let total: f64 = rest.iter().map(|r| r.norm_squared()).sum();
         // What each part loses where it was left out of the fit.
         let left_out = |weight: f64| {
             let penalty = &penalty * (weight * scale);
-            let gains = each.iter().map(|part| gained(&whole, part, &penalty)).collect::<Option<Vec<f64>>>()?;
-            Some((weight, gains))
+            let gains = each.iter().map(|part| Some(gained(&whole, part, &penalty)?[0]));
+            Some((weight, gains.collect::<Option<Vec<f64>>>()?))
         };
         let sum = |gains: &[f64]| -> f64 { gains.iter().sum() };
         let (weight, gains) =
             WEIGHTS.into_iter().filter_map(left_out).max_by(|(_, a), (_, b)| sum(a).total_cmp(&sum(b)))?;
 
-        let all = Part::of(&own, residual);
+        let all = Part::of(&own, &column);
         let scale = all.g.trace() / penalty.trace();
         let inverse = (&all.g + &penalty * (weight * scale)).cholesky()?.inverse();
         let freedom = (own.nrows() as f64 - (&inverse * &all.g).trace()).max(1.0);
-        let mut coefficients = &centred * (&inverse * &all.b);
+        let mut coefficients = &centred * (&inverse * all.b.column(0));
         let form = variables.spec(joint).form;
         bounded(&mut coefficients, &functions, form, limit);
         let left = (residual - &columns * &coefficients).norm_squared();

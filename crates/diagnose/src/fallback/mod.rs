@@ -19,7 +19,7 @@ use super::fit::group;
 use super::input::Settings;
 use super::outcome::{LACK_OF_FIT_RATIO, Unexplained};
 use super::state::State;
-use nalgebra::{DMatrix, DVector};
+use nalgebra::DMatrix;
 use plumbline_core::parallel;
 use screen::Screen;
 
@@ -158,10 +158,8 @@ pub fn may_be_chance(evidence: &Evidence, state: &State, residual: &Residual, se
     let screen = Screen::of(evidence, state, residual.joint);
     let elsewhere = screen.elsewhere();
     let of_each = |_: Vec<Variable>, functions: &[DMatrix<f64>]| screen.predicted_of(functions, &elsewhere);
-    let mut most = DVector::from_element(elsewhere.len(), f64::NEG_INFINITY);
-    for r2 in each_function(&Course::all(evidence), settings.threads, of_each).into_iter().flatten() {
-        most.iter_mut().zip(r2).for_each(|(most, r2)| *most = most.max(r2));
-    }
+    let all = each_function(&Course::all(evidence), settings.threads, of_each).into_iter().flatten();
+    let Some(most) = all.reduce(|most, r2| most.sup(&r2)) else { return false };
     residual.r2() < most.mean() + MIN_CHANCE_DEVIATIONS * most.variance().sqrt()
 }
 

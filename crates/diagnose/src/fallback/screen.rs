@@ -25,35 +25,29 @@ pub(super) struct Screen<'a> {
     weighed: DMatrix<f64>,
     /// `M H` of the joint.
     spread: DMatrix<f64>,
-    /// The residual, in parts that are left out in turn.
-    residual: Vec<DVector<f64>>,
+    /// The residual, one column in parts that are left out in turn.
+    residual: Vec<DMatrix<f64>>,
 }
 
-/// Sums of products of functions `C` and a residual `r` over a part of the data.
+/// Sums of products of functions `C` and residuals `R`, one per column, over a part of the data.
 pub struct Part {
     /// `C'C`.
     pub g: DMatrix<f64>,
-    /// `C'r`.
-    pub b: DVector<f64>,
+    /// `C'R`.
+    pub b: DMatrix<f64>,
 }
 
 impl Part {
-    /// Of functions and a residual.
-    pub fn of(c: &DMatrix<f64>, r: &DVector<f64>) -> Part {
+    /// Of functions and residuals.
+    pub fn of(c: &DMatrix<f64>, r: &DMatrix<f64>) -> Part {
         Part { g: transposed_product(c, c), b: c.tr_mul(r) }
     }
 
-    /// Of `width` functions and no data.
-    pub fn zero(width: usize) -> Part {
-        Part { g: DMatrix::zeros(width, width), b: DVector::zeros(width) }
-    }
-}
-
-impl std::ops::Add<&Part> for Part {
-    type Output = Part;
-
-    fn add(self, other: &Part) -> Part {
-        Part { g: self.g + &other.g, b: self.b + &other.b }
+    /// The sum of parts.
+    pub fn whole(parts: &[Part]) -> Part {
+        let [width, residuals] = parts.first().map_or([0; 2], |part| [part.b.nrows(), part.b.ncols()]);
+        let zero = Part { g: DMatrix::zeros(width, width), b: DMatrix::zeros(width, residuals) };
+        parts.iter().fold(zero, |sum, part| Part { g: sum.g + &part.g, b: sum.b + &part.b })
     }
 }
 
@@ -67,20 +61,18 @@ impl Screen<'_> {
             weighed.rows_mut(cell.rows.start, cell.rows.len()).scale_mut(weight);
         }
         let weighed = weighed.transpose();
-        let mut screen = Screen { evidence, joint, weighed, spread: m * &state.fit.h, residual: Vec::new() };
-        let residual = DMatrix::from_columns(&[state.residual(joint)]);
-        screen.residual = parts(evidence, &residual).iter().map(|part| part.column(0).into_owned()).collect();
-        screen
+        let residual = parts(evidence, &DMatrix::from_columns(&[state.residual(joint)]));
+        Screen { evidence, joint, weighed, spread: m * &state.fit.h, residual }
     }
 
     /// Share of the residual's square, in units of the noise, that a combination of functions predicts where it was not fitted; below
     /// zero when it makes things worse. `functions` are given at the samples of each experiment, as [`Evidence::project`] wants them.
     pub fn predicted(&self, functions: &[DMatrix<f64>]) -> f64 {
-        self.predicted_of(functions, std::slice::from_ref(&self.residual))[0]
+        self.predicted_of(functions, &self.residual)[0]
     }
 
-    /// The same of each of several residuals.
-    pub fn predicted_of(&self, functions: &[DMatrix<f64>], residuals: &[Vec<DVector<f64>>]) -> Vec<f64> {
+    /// The same of each of several residuals, which are columns.
+    pub fn predicted_of(&self, functions: &[DMatrix<f64>], residuals: &[DMatrix<f64>]) -> DVector<f64> {
         let mut c = self.evidence.project(self.joint, functions);
         let scale = DVector::from_iterator(c.ncols(), c.column_iter().map(|column| column.norm().max(1e-12)));
         let absorbed = &self.spread * (&self.weighed * &c);
@@ -88,35 +80,31 @@ impl Screen<'_> {
         for (mut column, scale) in c.column_iter_mut().zip(&scale) {
             column /= *scale;
         }
-        let c = parts(self.evidence, &c);
-        let share = |residual: &Vec<DVector<f64>>| {
-            let parts: Vec<Part> = c.iter().zip(residual).map(|(c, r)| Part::of(c, r)).collect();
-            let width = parts.first().map_or(0, |part| part.b.len());
-            let whole = parts.iter().fold(Part::zero(width), |sum, part| sum + part);
-            let total: f64 = residual.iter().map(DVector::norm_squared).sum();
-            let ridge = |ridge: f64| {
-                let penalty = DMatrix::identity(width, width) * ridge;
-                let left: Option<f64> = parts.iter().map(|part| gained(&whole, part, &penalty)).sum();
-                left.map_or(f64::NEG_INFINITY, |gained| gained / total)
-            };
-            RIDGE_RATIOS.into_iter().map(ridge).fold(f64::NEG_INFINITY, f64::max)
-        };
-        residuals.iter().map(share).collect()
+        let parts: Vec<Part> = parts(self.evidence, &c).iter().zip(residuals).map(|(c, r)| Part::of(c, r)).collect();
+        let whole = Part::whole(&parts);
+        let squares = |residuals: &DMatrix<f64>| residuals.map(|value| value * value).row_sum_tr();
+        let total: DVector<f64> = residuals.iter().map(squares).sum();
+        let mut best = DVector::from_element(total.len(), f64::NEG_INFINITY);
+        for ridge in RIDGE_RATIOS {
+            let penalty = DMatrix::identity(c.ncols(), c.ncols()) * ridge;
+            let gains: Option<DVector<f64>> = parts.iter().map(|part| gained(&whole, part, &penalty)).sum();
+            let shares = gains.map(|gains| gains.component_div(&total));
+            best.iter_mut().zip(shares.iter().flatten()).for_each(|(best, share)| *best = best.max(*share));
+        }
+        best
     }
 
-    /// The residual with its parts moved round to where other parts of the motion are, also in the opposite order: as much noise, as slow, that
-    /// depends on nothing.
-    pub fn elsewhere(&self) -> Vec<Vec<DVector<f64>>> {
+    /// The residual with its parts moved round to where other parts of the motion are, also in the opposite order, a column each: as much noise, as
+    /// slow, that depends on nothing.
+    pub fn elsewhere(&self) -> Vec<DMatrix<f64>> {
         let count = self.residual.len();
-        let moved = |place: &dyn Fn(usize) -> usize| -> Vec<DVector<f64>> {
-            let part = |(k, own): (usize, &DVector<f64>)| {
-                self.residual[place(k) % count].clone().resize_vertically(own.len(), 0.0)
-            };
-            self.residual.iter().enumerate().map(part).collect()
+        let part = |(k, own): (usize, &DMatrix<f64>)| {
+            let moved = (1..count).map(|by| k + by).chain((0..count).map(|by| 2 * count - 1 - k + by));
+            let at =
+                |place: usize| self.residual[place % count].column(0).into_owned().resize_vertically(own.nrows(), 0.0);
+            DMatrix::from_columns(&moved.map(at).collect::<Vec<_>>())
         };
-        let forwards = (1..count).map(|by| moved(&|k| k + by));
-        let backwards = (0..count).map(|by| moved(&|k| 2 * count - 1 - k + by));
-        forwards.chain(backwards).collect()
+        self.residual.iter().enumerate().map(part).collect()
     }
 }
 
@@ -139,9 +127,9 @@ pub fn parts(evidence: &Evidence, rows: &DMatrix<f64>) -> Vec<DMatrix<f64>> {
     (0..STRETCH_COUNT).map(stretch).collect()
 }
 
-/// How much of the square of a part goes when the functions, fitted to all others with a penalty `c' P c` on their coefficients, are taken off it;
-/// `None` where they can't be fitted.
-pub fn gained(whole: &Part, part: &Part, penalty: &DMatrix<f64>) -> Option<f64> {
+/// How much of the square of each residual in a part goes when the functions, fitted to all others with a penalty `c' P c` on their coefficients, are
+/// taken off it; `None` where they can't be fitted.
+pub fn gained(whole: &Part, part: &Part, penalty: &DMatrix<f64>) -> Option<DVector<f64>> {
     let gamma = (&whole.g - &part.g + penalty).cholesky()?.solve(&(&whole.b - &part.b));
-    Some(2.0 * part.b.dot(&gamma) - (&part.g * &gamma).dot(&gamma))
+    Some((2.0 * &part.b - &part.g * &gamma).component_mul(&gamma).row_sum_tr())
 }
