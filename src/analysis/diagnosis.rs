@@ -1,7 +1,8 @@
 //! A diagnosis from recorded runs: shared by `diagnose` and the estimator.
 
+use crate::analysis::SAME_MOUNTING;
 use crate::analysis::pipeline::{self, Identified};
-use crate::dataset::Run;
+use crate::dataset::{Role, Run};
 use crate::failure::Failure;
 use crate::process::progress::{self, Bar};
 use plumbline_diagnose::changing::{Changing, changing, cleaned, until_the_end};
@@ -15,6 +16,13 @@ use plumbline_identify::{Experiment, Settings};
 use plumbline_model::term::Motion;
 use plumbline_model::{Robot, Structure, TorqueModel};
 use std::sync::atomic::{AtomicUsize, Ordering};
+
+/// Periods from which on a motion counts as repeating when runs are exchanged.
+const MIN_PERIODS: usize = 2;
+/// Effects that are rather believed than one thing without a name.
+const NAMELESS_CAUSES: usize = 2;
+/// Runs to identify from of which one may become an unseen one.
+const MIN_IDENTIFIED: usize = 2;
 
 pub struct Question<'a> {
     pub robot: &'a Robot,
@@ -36,7 +44,61 @@ pub struct Diagnosed {
     pub open: OpenQuestions,
 }
 
-/// Diagnoses runs of one arm, with a progress bar.
+/// Diagnoses runs of one arm. An unseen run that differs from those identified from may have changed, or shows what they do not excite: it is identified
+/// from, too, where that explains more with less. Returns the runs that were identified from and the unseen ones.
+pub fn run_exchanging<'a>(question: &Question<'a>) -> Result<(Diagnosed, Vec<&'a Run>, Vec<&'a Run>), Failure> {
+    let first = run(question)?;
+    let (identify, unseen) = (question.identify.to_vec(), question.unseen.to_vec());
+    let Some((with, others)) = exchanged(question, &first.block) else { return Ok((first, identify, unseen)) };
+    let mut second = run(&Question { identify: &with, unseen: &others, ..*question })?;
+    if second.block.effects.is_empty() || causes(&second.block) >= causes(&first.block) {
+        return Ok((first, identify, unseen));
+    }
+    let moved = with.iter().filter(|run| run.role == Role::Validate).map(|run| run.data.name.as_str());
+    let unseen = others.iter().map(|run| run.data.name.as_str());
+    second.block.notes.push(format!(
+        "identified from {}, too, which the other runs alone do not explain; unseen: {}",
+        moved.collect::<Vec<_>>().join(", "),
+        unseen.collect::<Vec<_>>().join(", ")
+    ));
+    Ok((second, with, others))
+}
+
+/// Causes that a verdict needs: one for each effect, and more than one for each joint or run in which something is left without a name.
+fn causes(block: &Diagnosis) -> usize {
+    let nameless = block.unexplained.len() + block.disagreements.len() - block.changes.len();
+    block.effects.len() + NAMELESS_CAUSES * nameless
+}
+
+/// Runs to identify from and unseen ones, where those that decide on findings and differ are identified from. If no other is unseen, the last run that
+/// was identified from takes their place. `None` where none differs that is comparable with the identified ones.
+fn exchanged<'a>(question: &Question<'a>, block: &Diagnosis) -> Option<(Vec<&'a Run>, Vec<&'a Run>)> {
+    let first = question.identify.first()?;
+    let repeats = |run: &Run| run.data.periods() >= MIN_PERIODS;
+    let comparable = |run: &Run| {
+        run.data.mounting.angle_to(&first.data.mounting) < SAME_MOUNTING && repeats(run) == repeats(first)
+    };
+    let differs = |run: &Run| block.disagreements.iter().any(|one| one.run == run.data.name);
+    let (deciding, _) = question.unseen.split_at(deciding(question.unseen.len()));
+    let moved = |run: &&Run| deciding.iter().any(|own| std::ptr::eq(*own, *run)) && differs(run) && comparable(run);
+    let (moved, mut unseen): (Vec<&Run>, Vec<&Run>) = question.unseen.iter().partition(|run| moved(run));
+    let mut identify = question.identify.to_vec();
+    if moved.is_empty() {
+        return None;
+    }
+    if unseen.is_empty() {
+        unseen.extend(identify.pop().filter(|_| question.identify.len() >= MIN_IDENTIFIED));
+    }
+    identify.extend(moved);
+    (!unseen.is_empty()).then_some((identify, unseen))
+}
+
+/// Unseen runs that decide which findings are delivered; the others measure. A single one does both.
+fn deciding(unseen: usize) -> usize {
+    (unseen / 2).max(1).min(unseen)
+}
+
+/// Diagnoses runs of one arm in their parts, with a progress bar.
 pub fn run(question: &Question) -> Result<Diagnosed, Failure> {
     pipeline::check_channels(question.identify)?;
     let bar = progress::bar("diagnosing");
@@ -44,8 +106,7 @@ pub fn run(question: &Question) -> Result<Diagnosed, Failure> {
     let (identify, variation, unseen) = prepared(question)?;
     let notes: Vec<String> = identify.iter().chain(&unseen).filter_map(pipeline::settled).collect();
     let (identify, unseen) = (trials(&identify, question.identify), trials(&unseen, question.unseen));
-    // A half of the runs decides, the other measures; a single one does both.
-    let (veto, judge) = unseen.split_at((unseen.len() / 2).max(1).min(unseen.len()));
+    let (veto, judge) = unseen.split_at(deciding(unseen.len()));
     let input = Input {
         structure: question.structure,
         identify: &identify,

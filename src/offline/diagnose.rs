@@ -91,7 +91,7 @@ pub(crate) fn diagnose_and_plan(
         diagnosis: &diagnosis,
         of: Of::Filtered,
     };
-    let Diagnosed { after, mut block, figures: drawn, open } = diagnosis::run(&question)?;
+    let (Diagnosed { after, mut block, figures: drawn, open }, identified, unseen) = diagnosis::run_exchanging(&question)?;
     plan(&open, &mut block, &robot, dataset.mounting)?;
     let reference = sessions::Reference {
         robot: &robot,
@@ -103,7 +103,7 @@ pub(crate) fn diagnose_and_plan(
     };
     let not_valid = reference.compare(&later, &mut block, &given.out)?;
 
-    let judged = pipeline::judge_all(&after.model, &trusted, &settings)?;
+    let judged = pipeline::judge_all(&after.model, &unseen, &settings)?;
     let done = Outcome {
         robot: &robot,
         identified: after,

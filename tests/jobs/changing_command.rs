@@ -175,3 +175,43 @@ fn a_payload_that_is_picked_up_within_a_run_is_weighed_and_taken_off() {
     let named = format!("payload since 13.4 s of run-1.csv (mass {:.3} +- {:.3} kg", mass.value, mass.std.unwrap());
     assert!(printed.contains(&named), "no `{named}`: {printed}");
 }
+
+#[test]
+fn an_unseen_run_that_differs_is_identified_from_where_that_leaves_fewer_causes() {
+    let place = tempfile::tempdir().unwrap();
+    let chain = Robot::load("panda", None).unwrap().chain;
+    let arm = arm_with("sim-panda", "[[effect]]\nid = \"presliding\"\njoint = 4\ndelta = 0.002\n");
+    let tilt = 1.5_f64.to_radians();
+    let tilted = Mounting { rho: Mounting::WALL.rho + tilt, ..Mounting::WALL };
+    let [identify, validate] = plans();
+    let [first, second] = [&identify[0], &identify[1]].map(|plan| (Role::Identify, plan, Mounting::WALL));
+    let mut runs = Vec::new();
+    for (k, (role, plan, mounting)) in
+        [first, second, (Role::Validate, &validate[0], tilted)].into_iter().enumerate()
+    {
+        let name = format!("run-{k}.csv");
+        let one = period(&chain, &arm, plan, mounting, &name);
+        let run = one.record(&arm, PERIODS, Noise { coloured: 0.05 }, 50 + k as u64);
+        runs.push(Run::new(plumbline_identify::Run { name, mounting: Mounting::WALL, ..run }, role));
+    }
+    let source = toml::Table::new();
+    let dataset = Dataset { name: "test".into(), robot: "panda".into(), mounting: Mounting::WALL, source, runs };
+    dataset.write(&place.path().join("data")).unwrap();
+    let (report, printed, _) = diagnosed(place.path());
+    println!("{printed}");
+    let found = report.diagnosis.unwrap();
+    assert_eq!((found.verdict, &found.held_out_runs[..]), (Verdict::Diagnosed, &["run-1.csv".to_string()][..]), "{printed}");
+    let [presliding, mounting] = &found.effects[..] else { panic!("{printed}") };
+    assert!((presliding.id.as_str(), presliding.in_model) == ("presliding", true) && presliding.joints == [4], "{printed}");
+    let acts = mounting.acts.as_ref().unwrap();
+    assert!((mounting.id.as_str(), acts.run.as_str(), acts.from) == ("mounting", "run-2.csv", 0.0), "{mounting:?}");
+    for (own, name, truth) in [(presliding, "delta", 0.002), (mounting, "tilt", tilt)] {
+        let found = own.parameters.0.iter().find(|own| own.name == name).unwrap();
+        assert!((found.value - truth).abs() < 3.0 * found.std.unwrap(), "{found:?}");
+    }
+    // Each joint of the unseen run is at the noise, with the presliding.
+    for (joint, (rms, floor)) in found.after.validate_rms.iter().zip(&found.noise_floor).enumerate() {
+        assert!(*rms < 2.0 * floor, "joint {}: {rms} {floor}: {printed}", joint + 1);
+    }
+    assert!(printed.contains("identified from run-2.csv, too"), "{printed}");
+}

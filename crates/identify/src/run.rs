@@ -61,6 +61,15 @@ impl Run {
         self.t.len()
     }
 
+    /// Whole periods; 0 of a motion that does not repeat.
+    pub fn periods(&self) -> usize {
+        let Some(period) = self.period.filter(|_| self.samples() > 1) else { return 0 };
+        let (first, last) = (self.t[0], self.t[self.samples() - 1]);
+        // Each sample stands for one sampling interval; clocks drift by less than half of one per period.
+        let step = (last - first) / (self.samples() - 1) as f64;
+        ((last - first + 1.5 * step) / period) as usize
+    }
+
     /// Number of joints, n.
     pub fn joints(&self) -> usize {
         self.q.ncols()
