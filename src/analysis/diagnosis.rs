@@ -75,9 +75,8 @@ fn causes(block: &Diagnosis) -> usize {
 fn exchanged<'a>(question: &Question<'a>, block: &Diagnosis) -> Option<(Vec<&'a Run>, Vec<&'a Run>)> {
     let first = question.identify.first()?;
     let repeats = |run: &Run| run.data.periods() >= MIN_PERIODS;
-    let comparable = |run: &Run| {
-        run.data.mounting.angle_to(&first.data.mounting) < SAME_MOUNTING && repeats(run) == repeats(first)
-    };
+    let comparable =
+        |run: &Run| run.data.mounting.angle_to(&first.data.mounting) < SAME_MOUNTING && repeats(run) == repeats(first);
     let differs = |run: &Run| block.disagreements.iter().any(|one| one.run == run.data.name);
     let (deciding, _) = question.unseen.split_at(deciding(question.unseen.len()));
     let moved = |run: &&Run| deciding.iter().any(|own| std::ptr::eq(*own, *run)) && differs(run) && comparable(run);

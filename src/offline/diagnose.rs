@@ -91,7 +91,8 @@ pub(crate) fn diagnose_and_plan(
         diagnosis: &diagnosis,
         of: Of::Filtered,
     };
-    let (Diagnosed { after, mut block, figures: drawn, open }, identified, unseen) = diagnosis::run_exchanging(&question)?;
+    let (Diagnosed { after, mut block, figures: drawn, open }, identified, unseen) =
+        diagnosis::run_exchanging(&question)?;
     plan(&open, &mut block, &robot, dataset.mounting)?;
     let reference = sessions::Reference {
         robot: &robot,

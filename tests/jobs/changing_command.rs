@@ -186,9 +186,7 @@ fn an_unseen_run_that_differs_is_identified_from_where_that_leaves_fewer_causes(
     let [identify, validate] = plans();
     let [first, second] = [&identify[0], &identify[1]].map(|plan| (Role::Identify, plan, Mounting::WALL));
     let mut runs = Vec::new();
-    for (k, (role, plan, mounting)) in
-        [first, second, (Role::Validate, &validate[0], tilted)].into_iter().enumerate()
-    {
+    for (k, (role, plan, mounting)) in [first, second, (Role::Validate, &validate[0], tilted)].into_iter().enumerate() {
         let name = format!("run-{k}.csv");
         let one = period(&chain, &arm, plan, mounting, &name);
         let run = one.record(&arm, PERIODS, Noise { coloured: 0.05 }, 50 + k as u64);
@@ -200,9 +198,16 @@ fn an_unseen_run_that_differs_is_identified_from_where_that_leaves_fewer_causes(
     let (report, printed, _) = diagnosed(place.path());
     println!("{printed}");
     let found = report.diagnosis.unwrap();
-    assert_eq!((found.verdict, &found.held_out_runs[..]), (Verdict::Diagnosed, &["run-1.csv".to_string()][..]), "{printed}");
+    assert_eq!(
+        (found.verdict, &found.held_out_runs[..]),
+        (Verdict::Diagnosed, &["run-1.csv".to_string()][..]),
+        "{printed}"
+    );
     let [presliding, mounting] = &found.effects[..] else { panic!("{printed}") };
-    assert!((presliding.id.as_str(), presliding.in_model) == ("presliding", true) && presliding.joints == [4], "{printed}");
+    assert!(
+        (presliding.id.as_str(), presliding.in_model) == ("presliding", true) && presliding.joints == [4],
+        "{printed}"
+    );
     let acts = mounting.acts.as_ref().unwrap();
     assert!((mounting.id.as_str(), acts.run.as_str(), acts.from) == ("mounting", "run-2.csv", 0.0), "{mounting:?}");
     for (own, name, truth) in [(presliding, "delta", 0.002), (mounting, "tilt", tilt)] {

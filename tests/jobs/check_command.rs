@@ -208,6 +208,21 @@ fn no_mistake_of_the_campaign_is_silent() {
 }
 
 #[test]
+fn an_unseen_run_that_reaches_farther_than_what_the_first_determines_is_no_mistake() {
+    let of_seconds = |seconds: usize, spoil: fn(&mut Run)| {
+        let mut dataset = clean(true, false);
+        dataset.runs[0].data = dataset.runs[0].data.part(0, seconds * 1000 / EVERY);
+        spoil(&mut dataset.runs[1]);
+        let mut found = findings(&dataset).into_iter().filter(|finding| finding.check == "unseen");
+        found.next().unwrap()
+    };
+    let finding = of_seconds(3, |_| {});
+    assert_eq!(finding.state, State::Pass, "{finding:?}");
+    let finding = of_seconds(6, |run| run.data.tau *= -1.0);
+    assert!(finding.state > State::Pass, "{finding:?}");
+}
+
+#[test]
 fn a_real_log_has_no_finding() {
     let Some(data) = logs::data() else { return };
     let mut logs: Vec<PathBuf> = std::fs::read_dir(data).unwrap().map(|entry| entry.unwrap().path()).collect();

@@ -13,8 +13,11 @@ use nalgebra::DVector;
 const INFORMATIVE_RATIOS: (f64, f64) = (0.03, 0.8);
 /// Share of the informative folds that have to agree.
 const MIN_AGREEMENT_RATIO: f64 = 0.75;
-/// Smallest number of informative folds where the noise is unknown.
-const MIN_INFORMATIVE_FOLDS: usize = 3;
+/// Smallest number of folds in which an effect shows where the noise is unknown.
+const MIN_SHOWING_FOLDS: usize = 3;
+/// An effect shows also in a fold in which its torque has this energy, in units of the noise: five standard deviations. One fold with a jerk may have
+/// most of it.
+const MIN_FOLD_ENERGY: f64 = 25.0;
 /// Largest share by which the mean square of any joint may rise on folds left out, where the noise is unknown.
 const MAX_LEFT_OUT_LOSS_RATIO: f64 = 0.3;
 
@@ -25,6 +28,8 @@ pub struct FoldTest {
     pub positive: usize,
     /// Informative folds.
     pub informative: usize,
+    /// Folds in which the effect shows, the informative ones among them.
+    pub showing: usize,
     /// Where the noise is not known, twice the gain in log likelihood on folds left out, `sum_j n_j ln(error_without / error_with)` over all joints.
     pub evidence: f64,
     /// Share of the mean square removed on folds left out, in the joint with the largest share.
@@ -45,10 +50,10 @@ impl FoldTest {
     }
 
     /// Whether a candidate is accepted on folds left out, `blocks` in all, where the noise is unknown, so that the likelihood of fitted data is
-    /// optimistic. It needs several informative folds, a gain above `penalty`, a reduction of one joint's mean square by `least_share`, and no
+    /// optimistic. It needs several folds in which it shows, a gain above `penalty`, a reduction of one joint's mean square by `least_share`, and no
     /// joint whose error rises much.
     pub fn hold(&self, blocks: usize, penalty: f64, least_share: f64) -> bool {
-        self.informative >= MIN_INFORMATIVE_FOLDS.min(blocks / 2)
+        self.showing >= MIN_SHOWING_FOLDS.min(blocks / 2)
             && self.evidence > penalty
             && self.share >= least_share
             && self.worst > -MAX_LEFT_OUT_LOSS_RATIO
@@ -65,11 +70,15 @@ pub fn folds(problem: &Problem, state: &State, tried: &Tried) -> FoldTest {
     }
     let (phi, moments) = (&tried.fit.phi, tried.moments(state));
     let alone = alone(problem, tried);
-    let within = |(fold, share): (usize, f64)| {
-        (INFORMATIVE_RATIOS.0..=INFORMATIVE_RATIOS.1).contains(&share) && !alone.contains(&fold)
+    let energies = energies(problem, state, tried, &moments);
+    let total = energies.iter().sum::<f64>().max(f64::MIN_POSITIVE);
+    let within = |(fold, energy): (usize, &f64)| {
+        (INFORMATIVE_RATIOS.0..=INFORMATIVE_RATIOS.1).contains(&(energy / total)) && !alone.contains(&fold)
     };
-    let informative: Vec<bool> = shares(problem, state, tried, &moments).into_iter().enumerate().map(within).collect();
+    let informative: Vec<bool> = energies.iter().enumerate().map(within).collect();
     found.informative = informative.iter().filter(|informative| **informative).count();
+    let shows = |fold: &usize| informative[*fold] || energies[*fold] >= MIN_FOLD_ENERGY && !alone.contains(fold);
+    found.showing = (0..energies.len()).filter(shows).count();
     let known = problem.evidence.repeats();
     if known && !tried.held {
         let surprises = |moments| problem.surprise(moments, phi).into_iter();
@@ -145,16 +154,15 @@ fn alone(problem: &Problem, tried: &Tried) -> Vec<usize> {
     [true, false].into_iter().filter_map(only).collect()
 }
 
-/// Share of each fold in the energy of the torque that the candidate changes.
-fn shares(problem: &Problem, state: &State, tried: &Tried, moments: &Moments) -> Vec<f64> {
+/// Energy of the torque that the candidate changes in each fold, in units of the noise.
+fn energies(problem: &Problem, state: &State, tried: &Tried, moments: &Moments) -> Vec<f64> {
     let change = change(state, tried);
     let mut energy = vec![0.0; problem.evidence.folds().len()];
     for (cell, own) in problem.evidence.cells().iter().zip(&moments.cells) {
         let weight = 1.0 / tried.fit.phi[group(cell.joint, cell.band)];
         energy[cell.fold] += weight * (&own.g * &change).dot(&change);
     }
-    let total: f64 = energy.iter().sum();
-    energy.iter().map(|one| one / total.max(f64::MIN_POSITIVE)).collect()
+    energy
 }
 
 /// Change of all parameters when the candidate is added; only the candidate's own where the others have a prior.

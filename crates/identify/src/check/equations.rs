@@ -215,6 +215,11 @@ impl System {
         DMatrix::from_columns(&self.w.iter().map(|w| w * beta).collect::<Vec<_>>())
     }
 
+    /// RMS of a joint's torque that errors of the parameters with this covariance cause.
+    pub fn spread(&self, joint: usize, covariance: &DMatrix<f64>) -> f64 {
+        (covariance.dot(&self.gram[joint]) / self.w[joint].nrows() as f64).max(0.0).sqrt()
+    }
+
     /// Weighted least squares to `tau`, m x n, with weights by the joints' residuals; `None` where the equations are not finite.
     pub fn fit(&self, tau: &DMatrix<f64>) -> Option<Fit> {
         let n = tau.ncols();

@@ -78,7 +78,7 @@ struct Declared<'a> {
 /// | `sign` | signs of the columns; inertia and dissipated power, which are positive |
 /// | `robot` | the declared robot with others of as many joints |
 /// | `fit` | what the fit leaves with the torque's deviation |
-/// | `unseen` | the error on runs to validate with to that of the fit |
+/// | `unseen` | the error on runs to validate with, to that of the fit and of its parameters |
 pub fn dynamics(robot: &Robot, known: &[Robot], identify: &[&Run], validate: &[&Run]) -> Vec<Finding> {
     let Some(structure) = structure(robot) else { return Vec::new() };
     let runs: Vec<&Run> = identify.iter().chain(validate).copied().collect();
@@ -423,14 +423,16 @@ fn unexplained(robot: &Robot, of: &Declared, explained: bool) -> Finding {
     finding.state(state).says(found, expected)
 }
 
-/// The error of the runs to identify from and of an unseen run, with the parameters of the former.
+/// The error of the runs to identify from, what the uncertainty of their parameters adds, and the error of an unseen run, with these parameters.
 fn generalises(robot: &Robot, seen: &[&Declared], of: &Declared) -> Option<Finding> {
     let system = System::stacked(&seen.iter().map(|one| &one.system).collect::<Vec<_>>());
     let tau = super::equations::stack_rows(&seen.iter().map(|one| &one.tau).collect::<Vec<_>>());
     let fit = (!seen.is_empty()).then(|| system.fit(&tau)).flatten()?;
     let error = &of.tau - of.system.modelled(&fit.beta);
     let rms = |j: usize| super::root_mean_square(error.column(j).iter().copied());
-    let ratio = |j: usize| rms(j) / fit.sigma[j];
+    // What few seconds of a motion determine badly may be far off along another one.
+    let expected = |j: usize| fit.sigma[j].hypot(MIN_DEVIATIONS * of.system.spread(j, &fit.covariance));
+    let ratio = |j: usize| rms(j) / expected(j);
     let j = (0..fit.sigma.len()).max_by(|a, b| ratio(*a).total_cmp(&ratio(*b)))?;
     let finding = Finding::new("unseen", &of.run.name, format!("column tau{}", j + 1)).of_joint(j).measured(
         ratio(j),
