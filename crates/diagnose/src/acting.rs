@@ -1,9 +1,11 @@
 //! Effects that act in a part of the recording alone: what came, between two runs or within one, while the arm was identified.
 //!
-//! They are in no model. What they do is taken off the torques that the model is identified from, and added to what it predicts where they act.
+//! They are in no model. What they do is taken off the torques that the model is identified from, and added to what it predicts where they act. Of what
+//! comes by and by the model has what is there at the end of the identified runs.
 
+use super::changing::WARMING_TIME_CONSTANTS_S;
 use super::evidence::{Evidence, Trial};
-use super::library::{Candidate, library, sudden};
+use super::library::{Candidate, library, slow, sudden};
 use super::outcome::Acts;
 use super::span::Span;
 use super::state::State;
@@ -19,6 +21,8 @@ use std::sync::Arc;
 pub(super) struct Acting<'a> {
     chain: &'a Chain,
     parts: Vec<Part>,
+    /// End of the identified runs on the clock of the recording \[s\].
+    end: f64,
 }
 
 struct Part {
@@ -28,14 +32,15 @@ struct Part {
 }
 
 impl<'a> Acting<'a> {
-    /// Of a state at an operating point.
-    pub fn of(chain: &'a Chain, state: &State, operating_point: &OperatingPoint) -> Acting<'a> {
+    /// Of a state at an operating point, which these runs were identified from.
+    pub fn of(chain: &'a Chain, state: &State, operating_point: &OperatingPoint, identified: &[Trial]) -> Acting<'a> {
+        let end = identified.iter().map(|trial| trial.start + trial.experiment.timeline.end()).fold(0.0, f64::max);
         let part = |(index, item): (usize, &Candidate)| {
             let term = item.spec.build(operating_point).ok().filter(|_| !item.span.is_all())?;
             let range = state.range(index);
             Some(Part { term, theta: state.fit.theta.rows(range.start, range.len()).into_owned(), span: item.span })
         };
-        Acting { chain, parts: state.items.iter().enumerate().filter_map(part).collect() }
+        Acting { chain, parts: state.items.iter().enumerate().filter_map(part).collect(), end }
     }
 
     /// What they do to a run along its motion, N x n \[Nm\].
@@ -43,7 +48,8 @@ impl<'a> Acting<'a> {
         let (samples, joints) = (motion.samples(), motion.joints());
         let mut tau = DMatrix::zeros(samples, joints);
         for Part { term, theta, span } in &self.parts {
-            let share = trial.experiment.timeline.share_between(span.from - trial.start, span.to - trial.start);
+            let in_model = if span.is_slow() { span.share_at(self.end) } else { 0.0 };
+            let share = trial.experiment.timeline.mean_of(|t| span.share_at(trial.start + t) - in_model);
             if share.iter().all(|share| *share == 0.0) {
                 continue;
             }
@@ -69,14 +75,19 @@ impl<'a> Acting<'a> {
         trials.iter().map(without).collect()
     }
 
+    /// Whether any comes by and by.
+    pub fn any_slow(&self) -> bool {
+        self.parts.iter().any(|part| part.span.is_slow())
+    }
+
     /// Whether there are none.
     pub fn is_empty(&self) -> bool {
         self.parts.is_empty()
     }
 }
 
-/// Candidates that act from the begin of a run on, in one run alone, in the parts of what `came`, and from every block of a motion that does not repeat
-/// on.
+/// Candidates that act from the begin of a run on, in one run alone, in the parts of what `came`, from every block of a motion that does not repeat on,
+/// and friction that changes as its joint warms up.
 ///
 /// A load in the first run alone is the load of all runs, which the model has, and its opposite since the second. A tilt or an offset of all runs is
 /// `in_no_model`.
@@ -105,14 +116,21 @@ pub(super) fn candidates(
     let mut known: Vec<Span> = came.iter().map(|(_, span)| *span).collect();
     known.dedup();
     let inside = known.iter().flat_map(|span| library(evidence, operating_point, &families, *span, threads));
-    parts.flat_map(of_part).chain(first).chain(inside).collect()
+    let slow = slowly(trials).into_iter().flat_map(|span| library(evidence, operating_point, &slow(), span, threads));
+    parts.flat_map(of_part).chain(first).chain(inside).chain(slow).collect()
+}
+
+/// From the begin of the recording on, by and by. The power that a joint's friction dissipates hardly differs between the runs of a recording.
+fn slowly(trials: &[Trial]) -> Vec<Span> {
+    let begin = trials.iter().map(|trial| trial.start).fold(f64::INFINITY, f64::min);
+    WARMING_TIME_CONSTANTS_S.map(|rise| Span { rise, ..Span::since(begin) }).to_vec()
 }
 
 /// The first of several runs.
 fn first_alone(trials: &[Trial]) -> Option<Span> {
     let first = trials.iter().map(|trial| trial.start).min_by(f64::total_cmp)?;
     let second = trials.iter().map(|trial| trial.start).filter(|start| *start > first).min_by(f64::total_cmp)?;
-    Some(Span { from: first, to: second })
+    Some(Span { to: second, ..Span::since(first) })
 }
 
 /// Parts of the recording that consist of folds: from a run on, a run alone, and from a block of a motion that does not repeat on; nothing tells the
@@ -123,11 +141,11 @@ fn whole_folds(evidence: &Evidence, trials: &[Trial]) -> Vec<Span> {
     starts.dedup();
     let since = starts.iter().skip(1).map(|&start| Span::since(start));
     // The last run alone is the same as since its begin.
-    let alone = starts.windows(2).skip(1).map(|pair| Span { from: pair[0], to: pair[1] });
+    let alone = starts.windows(2).skip(1).map(|pair| Span { to: pair[1], ..Span::since(pair[0]) });
     let folds = evidence.folds().iter().zip(evidence.begins()).filter(|(fold, _)| fold.samples.start > 0);
     let blocks = folds.flat_map(|(fold, from)| {
         let later = starts.iter().find(|start| **start > trials[fold.experiment].start);
-        [Some(Span::since(from)), later.map(|&to| Span { from, to })].into_iter().flatten()
+        [Some(Span::since(from)), later.map(|&to| Span { to, ..Span::since(from) })].into_iter().flatten()
     });
     since.chain(alone).chain(blocks).collect()
 }

@@ -1,6 +1,7 @@
 //! The whole way: base fit, selection, veto by unseen data, adequacy, verdict.
 
 use super::acting::{self, Acting};
+use super::changing::AT_THE_END;
 use super::curves;
 use super::delivery::{self, Delivery};
 use super::detectable;
@@ -108,7 +109,7 @@ pub fn diagnose(input: &Input, settings: &Settings, progress: &Watch) -> Result<
         let adequacy = model.explained(&lacks, &updated(&selected.state));
         (lacks, adequacy)
     };
-    let acting = Acting::of(structure.chain(), &selected.state, operating_point);
+    let acting = Acting::of(structure.chain(), &selected.state, operating_point, input.identify);
     let experiments = match acting.is_empty() {
         true => experiments,
         false => acting.taken_off(input.identify).into_iter().map(Cow::into_owned).collect(),
@@ -171,7 +172,7 @@ pub fn diagnose(input: &Input, settings: &Settings, progress: &Watch) -> Result<
         not_identifiable: detectable::not_identifiable(&independences),
         path: steps("the plain model", &joints, &selected.path),
         scores: scores(&selected, &effects, input.identify),
-        notes: notes(&evidence, input, &hints, &different, &undetermined),
+        notes: notes(&evidence, input, (&hints, acting.any_slow()), &different, &undetermined),
         effects,
         hints,
         empirical,
@@ -211,7 +212,7 @@ fn delivered<'a>(problem: &Problem, base: &'a State, state: &'a State, kept: &[b
 fn notes(
     evidence: &Evidence,
     input: &Input,
-    hints: &[Effect],
+    (hints, slow): (&[Effect], bool),
     disagreements: &[Disagreement],
     undetermined: &[Disagreement],
 ) -> Vec<String> {
@@ -226,6 +227,9 @@ fn notes(
             evidence.folds().len()
         )),
         Confirmation::Full { .. } => {}
+    }
+    if slow {
+        notes.push(AT_THE_END.into());
     }
     for hint in hints {
         let why = hint.withheld.as_deref().unwrap_or_default();
@@ -268,9 +272,9 @@ fn scores(selected: &Selected, effects: &[Effect], trials: &[Trial]) -> Vec<Scor
         rivals.any(|rival| rival.id == spec.family && rival.joints == joints(spec))
     };
     let score = |one: &Scored| {
-        let (spec, acts) = (&one.item.spec, acting::acts(one.item.span, trials));
+        let (spec, acts) = (one.item.named(), acting::acts(one.item.span, trials));
         let label = acts.as_ref().map_or(spec.to_string(), |acts| format!("{spec} {acts}"));
-        Score { label, score: one.score, chosen: chosen(spec, &acts), equivalent: acts.is_none() && rival(spec) }
+        Score { label, score: one.score, chosen: chosen(&spec, &acts), equivalent: acts.is_none() && rival(&spec) }
     };
     selected.first.iter().take(MAX_LISTED_SCORES).map(score).collect()
 }
@@ -354,6 +358,11 @@ fn effects_of(
         if !item.span.is_all() {
             linear = reference::change(search, state, index, found.clone()).quantities(&stored, None);
         }
+        if item.span.is_slow() {
+            // As a share of what it was the change is of no use: the model is that of the end.
+            linear.truncate(names.len());
+            linear.push(Quantity::new("T", item.span.rise, "s"));
+        }
         let joint = found.relevance.joint;
         let effect = Effect {
             parameters: Parameters(settings_of(item, index, &deviations).into_iter().chain(linear.clone()).collect()),
@@ -363,7 +372,7 @@ fn effects_of(
             in_model,
             withheld: withheld[index].clone(),
             acts: acting::acts(item.span, input.identify),
-            ..found.effect(&item.spec)
+            ..found.effect(&item.named())
         };
         effects.push(Named { spec: item.spec.clone(), linear, effect });
     }

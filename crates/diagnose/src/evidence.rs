@@ -77,7 +77,7 @@ pub struct Trial<'a> {
 impl Recorded {
     /// Share of every sample that was recorded in a part of the recording.
     fn share_in(&self, span: Span) -> Vec<f64> {
-        self.timeline.share_between(span.from - self.start, span.to - self.start)
+        self.timeline.mean_of(|t| span.share_at(self.start + t))
     }
 }
 

@@ -29,18 +29,22 @@ impl Found {
     pub(super) fn effect(&self, spec: &Spec) -> Effect {
         let mut alternatives: Vec<String> = Vec::new();
         for rival in &self.rivals {
-            if !alternatives.iter().any(|known| known == rival.item.spec.family) {
-                alternatives.push(rival.item.spec.family.into());
+            let family = rival.item.named().family;
+            if !alternatives.iter().any(|known| known == family) {
+                alternatives.push(family.into());
             }
         }
         let confounded = spec.family().map_or(&[][..], |family| family.confounded);
         let decided =
             |other: &str| confounded.iter().find(|one| one.with == other).map(|one| one.decided_by.to_string());
-        let detail = |rival: &Rival| Alternative {
-            id: rival.item.spec.family.into(),
-            joints: outcome::joints(rival.item.spec.site),
-            score_gap: Some(rival.gap),
-            deciding_experiment: decided(rival.item.spec.family).unwrap_or_default(),
+        let detail = |rival: &Rival| {
+            let Spec { family, site, .. } = rival.item.named();
+            Alternative {
+                id: family.into(),
+                joints: outcome::joints(site),
+                score_gap: Some(rival.gap),
+                deciding_experiment: decided(family).unwrap_or_default(),
+            }
         };
         let largest = |values: &[f64]| values.iter().copied().reduce(f64::max);
         Effect {
@@ -104,7 +108,7 @@ pub(super) fn steps(from: &str, joints: &[JointFacts], path: &[Step]) -> Vec<out
     let start = outcome::Step { action: Action::Start, what: from.into(), unmodelled: Some(total.sqrt()), score: None };
     let step = |step: &Step| outcome::Step {
         action: if step.added { Action::Added } else { Action::Removed },
-        what: step.item.spec.to_string(),
+        what: step.item.named().to_string(),
         unmodelled: Some(step.unmodelled.sqrt()),
         score: Some(step.score),
     };

@@ -5,7 +5,7 @@ use super::rows::Rows;
 use super::span::Span;
 use plumbline_core::parallel;
 use plumbline_model::term::effect::{FAMILIES, Family, Form, OperatingPoint, Site, Spec, Stratum};
-use plumbline_model::term::{Expected, Term};
+use plumbline_model::term::{Expected, Term, friction_change, friction_drift};
 
 /// An effect that may be missing from the model.
 #[derive(Clone, Debug)]
@@ -64,6 +64,19 @@ impl Candidate {
     /// Number of parameters: linear and nonlinear, the begin of a part among them.
     pub fn parameters(&self) -> usize {
         self.rows.width + self.spec.settings.len() + usize::from(!self.span.is_all())
+    }
+
+    /// As it is reported: friction that changes by and by is a drift of friction.
+    pub fn named(&self) -> Spec {
+        match self.span.is_slow() {
+            true => Spec {
+                family: friction_drift::ID,
+                form: "exponential",
+                site: self.spec.site,
+                settings: vec![self.span.rise],
+            },
+            false => self.spec.clone(),
+        }
     }
 
     /// Joints whose torque it touches.
@@ -126,6 +139,11 @@ pub fn specs(families: &[&'static Family], joints: usize, passes: impl Fn(&Famil
 /// Families whose effects may come within a recording.
 pub fn sudden() -> Vec<&'static Family> {
     FAMILIES.iter().copied().filter(|family| family.rare.comes_at_once).collect()
+}
+
+/// Families whose effects may come by and by.
+pub fn slow() -> Vec<&'static Family> {
+    FAMILIES.iter().copied().filter(|family| family.id == friction_change::ID).collect()
 }
 
 /// Families whose effects every period repeats.

@@ -22,6 +22,8 @@ const MAX_SHORTLISTED: usize = 16;
 const MIN_START_GAIN_RATIO: f64 = 0.5;
 /// Resolution of the begin of an effect in a motion that does not repeat \[s\].
 const BEGIN_RESOLUTION_S: f64 = 0.05;
+/// Resolution of a time constant, as a share of it.
+const RISE_RESOLUTION: f64 = 0.05;
 /// Candidates above this share of the best score are tied, where the noise is unknown.
 const TIE_RATIO: f64 = 0.8;
 /// A form whose score is better by no more than this is not preferred to one of the same effect with fewer settings, for outside of the recorded range
@@ -187,11 +189,18 @@ impl<'a> Search<'a> {
     /// A candidate that begins where the likelihood is largest, near the begin of a block of a motion that does not repeat.
     fn begun(&self, state: &State, item: Candidate) -> Candidate {
         let evidence = self.evidence();
-        let Some(length) = evidence.length_of_block_at(item.span.from) else { return item };
-        let (begin, to, spec) = (item.span.from, item.span.to, item.spec.clone());
-        let at = |offset: f64| {
-            let span = Span { from: begin + offset, to };
-            Candidate::sketch(evidence, self.operating_point, spec.clone(), span)
+        let (span, spec) = (item.span, item.spec.clone());
+        let sketch = |span: Span| Candidate::sketch(evidence, self.operating_point, spec.clone(), span);
+        // The logarithm of a time constant, or the begin within a block.
+        let moved = |offset: f64| match span.is_slow() {
+            true => sketch(Span { rise: span.rise * offset.exp(), ..span }),
+            false => sketch(Span { from: span.from + offset, ..span }),
+        };
+        let length = evidence.length_of_block_at(span.from);
+        let (reach, resolution) = match length {
+            _ if span.is_slow() => (std::f64::consts::LN_2, RISE_RESOLUTION),
+            Some(length) => (length, BEGIN_RESOLUTION_S),
+            None => return item,
         };
         let gain = |item: &Candidate| {
             let cross = state.columns.cross(evidence, &item.rows);
@@ -199,15 +208,14 @@ impl<'a> Search<'a> {
             gain.map_or(f64::NEG_INFINITY, |gain| gain.evidence)
         };
         // Blocks are short against the time that an effect lasts: there is one maximum nearby.
-        let (mut best, mut reach) = ((gain(&item), item), length);
-        while reach > BEGIN_RESOLUTION_S {
+        let (mut best, mut here, mut reach) = ((gain(&item), item), 0.0, reach);
+        while reach > resolution {
             reach *= 0.5;
-            let here = best.1.span.from - begin;
             for offset in [here - reach, here + reach] {
-                let Some(moved) = at(offset) else { continue };
+                let Some(moved) = moved(offset) else { continue };
                 let gain = gain(&moved);
                 if gain > best.0 {
-                    best = (gain, moved);
+                    (best, here) = ((gain, moved), offset);
                 }
             }
         }

@@ -20,7 +20,7 @@ const MAX_FREQUENCY_HZ: f64 = 16.0;
 /// Time constants that the search starts from \[s\]; it stays between the first and the last. What warms a sensor or a whole arm is large;
 const SLOW_TIME_CONSTANTS_S: [f64; 5] = [60.0, 100.0, 170.0, 290.0, 500.0];
 /// the grease of one joint is warmed by its own friction.
-const WARMING_TIME_CONSTANTS_S: [f64; 6] = [15.0, 30.0, 60.0, 120.0, 240.0, 500.0];
+pub const WARMING_TIME_CONSTANTS_S: [f64; 6] = [15.0, 30.0, 60.0, 120.0, 240.0, 500.0];
 /// Least score: within a band slow noise is stronger at its lowest frequencies, where drifts and steps are.
 const MIN_SCORE: f64 = 10.0;
 /// Least ratio of what a drift with own parameters in each run does in the run in which it does least to that in which it does most: below it the

@@ -9,6 +9,10 @@ const SAME_LINE_HZ: f64 = 0.03;
 /// Times that are nearer than this are one \[s\].
 const SAME_TIME_S: f64 = 0.1;
 
+/// Note where a drift is taken off the parameters.
+pub const AT_THE_END: &str =
+    "the parameters are those of the arm at the recording's end: what drifts through it is taken off";
+
 impl Changing {
     /// Adds the findings to a diagnosis. An effect counts for the verdict from a share `least_floor` of the noise of the mean periods on, or
     /// from `threshold` \[Nm\] where that is given.
@@ -36,7 +40,8 @@ impl Changing {
             let mut effect = self.drift(drift);
             // Between two runs it goes on: what one of them has more than the one before is of the same cause.
             let same = |own: &mut Effect| {
-                drift.what.between_runs() == Some(own.id.as_str()) && own.joints == effect.joints && own.acts.is_some()
+                let between = [drift.what.between_runs(), Some(drift.what.family())].contains(&Some(own.id.as_str()));
+                between && own.joints == effect.joints && own.acts.is_some()
             };
             for of_run in diagnosis.effects.extract_if(.., same).collect::<Vec<_>>() {
                 let since = of_run.acts.map_or(String::new(), |acts| format!(" {acts}"));
@@ -54,7 +59,8 @@ impl Changing {
         diagnosis.effects.extend(steps);
         diagnosis.effects.extend(lines.iter().map(|(line, count)| self.base_motion(line, *count)));
         diagnosis.effects.extend(contacts.iter().map(|contact| touched(contact)));
-        diagnosis.notes.extend(self.notes(&contacts));
+        let notes = self.notes(&contacts, &diagnosis.notes);
+        diagnosis.notes.extend(notes);
         self.quality(diagnosis);
     }
 
@@ -131,14 +137,11 @@ impl Changing {
         }
     }
 
-    fn notes(&self, contacts: &[&Contact]) -> Vec<String> {
+    fn notes(&self, contacts: &[&Contact], known: &[String]) -> Vec<String> {
         let mut notes = Vec::new();
         let through = |drift: &Drift| drift.shared == Shared::Course;
-        if self.drifts.iter().any(through) {
-            notes.push(
-                "the parameters are those of the arm at the recording's end: what drifts through it is taken off"
-                    .into(),
-            );
+        if self.drifts.iter().any(through) && !known.iter().any(|note| note == AT_THE_END) {
+            notes.push(AT_THE_END.into());
         }
         if !self.drifts.iter().all(through) {
             notes.push("the parameters are those of the recordings' mean: what drifts is not in the model".into());

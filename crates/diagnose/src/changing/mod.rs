@@ -20,7 +20,9 @@ mod transient;
 
 pub use base_motion::BaseMotion;
 pub use contact::Contact;
+pub(super) use courses::WARMING_TIME_CONSTANTS_S;
 pub use drift::{Course, Drift, Drifting, Shared};
+pub(super) use effects::AT_THE_END;
 pub use outlier::Hygiene;
 pub use step::Step;
 pub use transient::Transient;
@@ -82,7 +84,7 @@ impl Changing {
         let of = |step: &Step| {
             let run = trials.iter().find(|trial| trial.experiment.name == step.run)?;
             let from = run.start + step.time;
-            let to_its_end = Span { from, to: run.start + run.experiment.timeline.end() };
+            let to_its_end = Span { to: run.start + run.experiment.timeline.end(), ..Span::since(from) };
             // At the end of the last run both are the same.
             let spans = [Some(Span::since(from)), Some(to_its_end).filter(|_| run.start < last)];
             let spec = step.spec.clone();

@@ -125,7 +125,7 @@ fn the_only_run_with_an_effect_and_the_only_one_without_it_are_not_asked() {
     let starts: Vec<f64> = recorded.trials().iter().map(|trial| trial.start).collect();
     of_joint_2(&recorded, &torque_offset::FAMILY, |search, base, item| {
         let alone = |from: f64, to: f64| {
-            let item = item.in_folds(search.problem.evidence, Span { from, to }).unwrap();
+            let item = item.in_folds(search.problem.evidence, Span { to, ..Span::since(from) }).unwrap();
             alone(&search.problem, &base.try_in(&search.problem, &item).unwrap())
         };
         assert_eq!(alone(starts[2], starts[3]), [2]);
