@@ -3,6 +3,7 @@
 //! Score of a candidate: twice the gain in profile log likelihood, less `k ln n` for its `k` parameters (linear and nonlinear, `n` rows of
 //! a joint) and `2 ln N` for a library of `N` columns (extended Bayesian information criterion, Chen and Chen, Biometrika 95, 2008).
 
+use super::changing::WARMING_TIME_CONSTANTS_S;
 use super::evidence::Evidence;
 use super::fit::Problem;
 use super::found::{Found, Progress, Rival, Step, Watch};
@@ -191,9 +192,10 @@ impl<'a> Search<'a> {
         let evidence = self.evidence();
         let (span, spec) = (item.span, item.spec.clone());
         let sketch = |span: Span| Candidate::sketch(evidence, self.operating_point, spec.clone(), span);
+        let in_range = |rise: f64| rise.clamp(WARMING_TIME_CONSTANTS_S[0], WARMING_TIME_CONSTANTS_S[5]);
         // The logarithm of a time constant, or the begin within a block.
         let moved = |offset: f64| match span.is_slow() {
-            true => sketch(Span { rise: span.rise * offset.exp(), ..span }),
+            true => sketch(Span { rise: in_range(span.rise * offset.exp()), ..span }),
             false => sketch(Span { from: span.from + offset, ..span }),
         };
         let length = evidence.length_of_block_at(span.from);

@@ -46,3 +46,21 @@ impl Span {
         self == Span::ALL
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::Span;
+
+    #[test]
+    fn what_comes_is_there_at_once_or_by_and_by_until_it_ends() {
+        let at_once = Span { to: 5.0, ..Span::since(2.0) };
+        assert_eq!([1.9, 2.0, 4.9, 5.0].map(|t| at_once.share_at(t)), [0.0, 1.0, 1.0, 0.0]);
+        let slow = Span { rise: 10.0, ..Span::since(2.0) };
+        let share = |t: f64| 1.0 - (-(t - 2.0) / 10.0_f64).exp();
+        for (t, expected) in [(1.0, 0.0), (2.0, 0.0), (12.0, share(12.0)), (102.0, share(102.0))] {
+            assert!((slow.share_at(t) - expected).abs() < 1e-12, "{t}");
+        }
+        assert!(slow.begins_near(Span { rise: 60.0, ..slow }) && !slow.begins_near(Span::since(2.0)));
+        assert!(Span::ALL.is_all() && !slow.is_all() && Span::ALL.share_at(-1e9) == 1.0);
+    }
+}

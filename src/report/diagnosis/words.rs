@@ -206,7 +206,8 @@ fn finding(effect: &Effect, confirmation: Option<Confirmation>) -> String {
 /// Whether an effect held in trajectories that were left out; `why` not, where nobody could say.
 pub(super) fn confirmed(effect: &Effect, confirmation: Option<Confirmation>) -> String {
     let (positive, informative) = (effect.folds.positive, effect.folds.informative);
-    if effect.stratum == Stratum::Changing {
+    // What the search of the means has found was tested as any other.
+    if effect.stratum == Stratum::Changing && effect.idf.is_none() {
         // No trajectory is left out for it; some effects show in each for itself.
         let trajectories =
             if informative > 1 { format!(" in {positive} of {informative} trajectories") } else { String::new() };

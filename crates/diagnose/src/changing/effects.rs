@@ -140,10 +140,11 @@ impl Changing {
     fn notes(&self, contacts: &[&Contact], known: &[String]) -> Vec<String> {
         let mut notes = Vec::new();
         let through = |drift: &Drift| drift.shared == Shared::Course;
-        if self.drifts.iter().any(through) && !known.iter().any(|note| note == AT_THE_END) {
+        let said = known.iter().any(|note| note == AT_THE_END);
+        if self.drifts.iter().any(through) && !said {
             notes.push(AT_THE_END.into());
         }
-        if !self.drifts.iter().all(through) {
+        if !self.drifts.iter().all(through) && !said {
             notes.push("the parameters are those of the recordings' mean: what drifts is not in the model".into());
         }
         let mut events: Vec<(&str, f64, f64, String)> = Vec::new();

@@ -80,7 +80,7 @@ impl<'r> Case<'r> {
                 });
             }
             let seeds: Vec<Candidate> = self.seeds.iter().map(|spec| item(spec, Span::ALL)).collect();
-            let acting = Acting::of(structure.chain(), &state, search.operating_point);
+            let acting = Acting::of(structure.chain(), &state, search.operating_point, input.identify);
             let unseen = Evidence::with_noise_of(structure.chain(), input.deciding(), input.identify, settings.band);
             let delivery = Delivery {
                 input: &input,

@@ -94,12 +94,12 @@ fn three_of_four_folds_have_to_agree() {
 
 #[test]
 fn without_repeats_every_condition_on_left_out_blocks_counts() {
-    let good = FoldTest { positive: 3, informative: 3, evidence: 20.1, share: 0.21, worst: -0.29 };
+    let good = FoldTest { positive: 3, informative: 3, showing: 3, evidence: 20.1, share: 0.21, worst: -0.29 };
     let holds = |folds: FoldTest, blocks: usize| folds.hold(blocks, 20.0, Settings::default().least_share_left_out);
     assert!(holds(good, 20));
-    assert!(!holds(FoldTest { informative: 2, ..good }, 20), "in three blocks");
-    assert!(holds(FoldTest { informative: 2, ..good }, 5), "of few blocks in half");
-    assert!(!holds(FoldTest { informative: 1, ..good }, 5));
+    assert!(!holds(FoldTest { showing: 2, ..good }, 20), "in three blocks");
+    assert!(holds(FoldTest { showing: 2, ..good }, 5), "of few blocks in half");
+    assert!(!holds(FoldTest { showing: 1, ..good }, 5));
     assert!(!holds(FoldTest { evidence: 19.9, ..good }, 20), "as much as it costs");
     assert!(!holds(FoldTest { share: 0.19, ..good }, 20), "a fifth of a joint's error");
     assert!(!holds(FoldTest { worst: -0.31, ..good }, 20), "no joint loses more than 30 %");

@@ -30,8 +30,10 @@ pub struct At {
     pub trajectory: usize,
     /// Its sample, from 0.
     pub k: usize,
-    /// Time since its begin \[s\].
+    /// Time since its begin, or that of its period \[s\].
     pub t: f64,
+    /// Time since the begin of its first period \[s\].
+    pub elapsed: f64,
     /// Positions \[rad\].
     pub q: [f64; 2],
     /// Velocities \[rad/s\].
@@ -171,7 +173,7 @@ fn along_in_noise(motions: &[Motion], seed: u64, noise: [f64; 2], added: impl Fn
         for row in 0..rows {
             let k = row % samples;
             let [q, dq] = [&motion.q, &motion.dq].map(|of| [of[(k, 0)], of[(k, 1)]]);
-            let at = At { trajectory, k, t: k as f64 * DT, q, dq };
+            let at = At { trajectory, k, t: k as f64 * DT, elapsed: row as f64 * DT, q, dq };
             let more = added(&at);
             for j in 0..2 {
                 tau[(row, j)] =

@@ -1,6 +1,6 @@
 //! Rules of a whole diagnosis on the two-joint arm: what is confirmed, what acts in a part of the recording, what differs in a run.
 
-use super::synthetic::{At, FLOOR, Recorded, once, recorded, scaled};
+use super::synthetic::{At, FLOOR, PERIOD, PERIODS, Recorded, once, recorded, scaled, truth};
 use plumbline_diagnose::Outcome;
 use plumbline_diagnose::errors::Of;
 use plumbline_diagnose::outcome::{Diagnosis, OpenKind, Verdict};
@@ -61,6 +61,45 @@ fn what_came_in_a_later_trajectory_acts_until_the_runs_that_do_not_have_it() {
         assert_eq!(chosen, ["torque-offset in joint 2 since trajectory 3"], "{labels:?}");
         assert_eq!((acts.to_end_of_recording, effect.in_model), (still_there, false));
         assert!(outcome.diagnosis.disagreements.is_empty(), "{:?}", outcome.diagnosis.disagreements);
+    }
+}
+
+#[test]
+fn friction_that_changes_by_and_by_is_a_drift_and_the_model_that_of_the_end() {
+    let (time, [dfv, dfc]) = (15.0, [-0.2, -0.25]);
+    // Friction of joint 2, so long after the begin of the recording.
+    let warmed = |at: &At, since: f64| {
+        let share = 1.0 - (-(since + at.elapsed) / time).exp();
+        [0.0, share * (dfc * (100.0 * at.dq[1]).tanh() + dfv * at.dq[1])]
+    };
+    let of_trajectory = f64::from(PERIODS as u32) * PERIOD;
+    let repeating = recorded(6, 107, |at| warmed(at, at.trajectory as f64 * of_trajectory));
+    let after = recorded(2, 108, |at| warmed(at, (6 + at.trajectory) as f64 * of_trajectory));
+    let (once, once_after) = (once(48.0, 109, |at| warmed(at, 0.0)), once(20.0, 110, |at| warmed(at, 48.0)));
+    for (identify, unseen) in [(repeating, after), (once, once_after)] {
+        let outcome = judged(&identify, &unseen, Of::Filtered);
+        let Diagnosis { verdict, effects, unexplained, disagreements, notes, .. } = outcome.diagnosis;
+        let [drift] = &effects[..] else { panic!("{effects:#?}") };
+        assert_eq!((drift.id.as_str(), &drift.joints[..], drift.in_model), ("friction-drift", &[2][..], false));
+        assert!(unexplained.is_empty() && disagreements.is_empty(), "{unexplained:?} {disagreements:?}");
+        assert_eq!(verdict, Verdict::Diagnosed, "{:?}", drift.alternatives);
+        let acts = drift.acts.as_ref().unwrap();
+        assert_eq!((acts.run.as_str(), acts.from, acts.to_end_of_recording), ("trajectory 1", 0.0, true));
+        let named = |name: &str| drift.parameters.0.iter().find(|own| own.name == name).unwrap();
+        for (name, truth) in [("dfv2", dfv), ("dfc2", dfc)] {
+            let found = named(name);
+            assert!((found.value - truth).abs() < 4.0 * found.std.unwrap(), "{found:?} {truth}");
+        }
+        assert!((named("T").value / time).ln().abs() < 0.4, "{drift:#?}");
+        // The arm as it is at the end: it is warm.
+        let share = 1.0 - (-48.0 / time).exp();
+        let cold = truth(&identify.structure);
+        for (k, column) in identify.structure.columns().iter().enumerate() {
+            let change = [("fv2", dfv), ("fc2", dfc)].iter().find(|own| own.0 == column.name).map_or(0.0, |own| own.1);
+            let (found, std) = (outcome.after.identification.beta[k], outcome.after.identification.std[k].unwrap());
+            assert!((found - cold[k] - share * change).abs() < 5.0 * std, "{}: {found} +- {std}", column.name);
+        }
+        assert!(notes.iter().any(|note| note.contains("at the recording's end")), "{notes:?}");
     }
 }
 
