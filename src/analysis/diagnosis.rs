@@ -2,7 +2,7 @@
 
 use crate::analysis::SAME_MOUNTING;
 use crate::analysis::pipeline::{self, Identified};
-use crate::dataset::{Role, Run};
+use crate::dataset::Run;
 use crate::failure::Failure;
 use crate::process::progress::{self, Bar};
 use plumbline_diagnose::changing::{Changing, changing, cleaned, until_the_end};
@@ -50,14 +50,17 @@ pub fn run_exchanging<'a>(question: &Question<'a>) -> Result<(Diagnosed, Vec<&'a
     let first = run(question)?;
     let (identify, unseen) = (question.identify.to_vec(), question.unseen.to_vec());
     let Some((with, others)) = exchanged(question, &first.block) else { return Ok((first, identify, unseen)) };
-    let mut second = run(&Question { identify: &with, unseen: &others, ..*question })?;
+    let Ok(mut second) = run(&Question { identify: &with, unseen: &others, ..*question }) else {
+        return Ok((first, identify, unseen));
+    };
     if second.block.effects.is_empty() || causes(&second.block) >= causes(&first.block) {
         return Ok((first, identify, unseen));
     }
-    let moved = with.iter().filter(|run| run.role == Role::Validate).map(|run| run.data.name.as_str());
+    let known = |run: &&&Run| question.identify.iter().any(|own| std::ptr::eq(*own, **run));
+    let moved = with.iter().filter(|run| !known(run)).map(|run| run.data.name.as_str());
     let unseen = others.iter().map(|run| run.data.name.as_str());
     second.block.notes.push(format!(
-        "identified from {}, too, which the other runs alone do not explain; unseen: {}",
+        "identified from {}, too, for it differs from the others; unseen: {}",
         moved.collect::<Vec<_>>().join(", "),
         unseen.collect::<Vec<_>>().join(", ")
     ));
