@@ -261,7 +261,7 @@ fn without_repeats_an_effect_has_to_show_in_three_blocks() {
             // Everything else speaks for it.
             let held = folds.confirm() == Some(true) && folds.evidence > scored.penalty && folds.share >= 0.2;
             if held && folds.worst > -0.3 {
-                assert_eq!(taken, folds.informative >= 3, "{folds:?}");
+                assert_eq!(taken, folds.showing >= 3, "{folds:?}");
                 seen.push(taken);
             }
         });
