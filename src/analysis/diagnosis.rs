@@ -48,23 +48,23 @@ pub struct Diagnosed {
 /// from, too, where that explains more with less. Returns the runs that were identified from and the unseen ones.
 pub fn run_exchanging<'a>(question: &Question<'a>) -> Result<(Diagnosed, Vec<&'a Run>, Vec<&'a Run>), Failure> {
     let first = run(question)?;
-    let (identify, unseen) = (question.identify.to_vec(), question.unseen.to_vec());
-    let Some((with, others)) = exchanged(question, &first.block) else { return Ok((first, identify, unseen)) };
-    let Ok(mut second) = run(&Question { identify: &with, unseen: &others, ..*question }) else {
-        return Ok((first, identify, unseen));
+    let second = exchanged(question, &first.block).and_then(|(identify, unseen)| {
+        let second = run(&Question { identify: &identify, unseen: &unseen, ..*question }).ok()?;
+        let better = !second.block.effects.is_empty() && causes(&second.block) < causes(&first.block);
+        better.then_some((second, identify, unseen))
+    });
+    let Some((mut second, identify, unseen)) = second else {
+        return Ok((first, question.identify.to_vec(), question.unseen.to_vec()));
     };
-    if second.block.effects.is_empty() || causes(&second.block) >= causes(&first.block) {
-        return Ok((first, identify, unseen));
-    }
-    let known = |run: &&&Run| question.identify.iter().any(|own| std::ptr::eq(*own, **run));
-    let moved = with.iter().filter(|run| !known(run)).map(|run| run.data.name.as_str());
-    let unseen = others.iter().map(|run| run.data.name.as_str());
+    let names = |runs: &[&Run]| runs.iter().map(|run| run.data.name.as_str()).collect::<Vec<_>>().join(", ");
+    let known = |run: &&Run| question.identify.iter().any(|own| std::ptr::eq(*own, *run));
+    let moved: Vec<&Run> = identify.iter().copied().filter(|run| !known(run)).collect();
     second.block.notes.push(format!(
         "identified from {}, too, for it differs from the others; unseen: {}",
-        moved.collect::<Vec<_>>().join(", "),
-        unseen.collect::<Vec<_>>().join(", ")
+        names(&moved),
+        names(&unseen)
     ));
-    Ok((second, with, others))
+    Ok((second, identify, unseen))
 }
 
 /// Causes that a verdict needs: one for each effect, and more than one for each joint or run in which something is left without a name.
@@ -81,13 +81,13 @@ fn exchanged<'a>(question: &Question<'a>, block: &Diagnosis) -> Option<(Vec<&'a 
     let comparable =
         |run: &Run| run.data.mounting.angle_to(&first.data.mounting) < SAME_MOUNTING && repeats(run) == repeats(first);
     let differs = |run: &Run| block.disagreements.iter().any(|one| one.run == run.data.name);
-    let (deciding, _) = question.unseen.split_at(deciding(question.unseen.len()));
-    let moved = |run: &&Run| deciding.iter().any(|own| std::ptr::eq(*own, *run)) && differs(run) && comparable(run);
-    let (moved, mut unseen): (Vec<&Run>, Vec<&Run>) = question.unseen.iter().partition(|run| moved(run));
-    let mut identify = question.identify.to_vec();
+    let (deciding, measuring) = question.unseen.split_at(deciding(question.unseen.len()));
+    let (moved, mut unseen): (Vec<&Run>, Vec<&Run>) = deciding.iter().partition(|run| differs(run) && comparable(run));
     if moved.is_empty() {
         return None;
     }
+    unseen.extend(measuring);
+    let mut identify = question.identify.to_vec();
     if unseen.is_empty() {
         unseen.extend(identify.pop().filter(|_| question.identify.len() >= MIN_IDENTIFIED));
     }

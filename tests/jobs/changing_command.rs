@@ -34,6 +34,10 @@ fn write(dir: &Path, seed: u64, added: impl Fn(usize, f64, &[f64], &mut [f64])) 
         }
         runs.push(Run::new(plumbline_identify::Run { name, ..run }, role));
     }
+    store(dir, runs);
+}
+
+fn store(dir: &Path, runs: Vec<Run>) {
     let source = toml::Table::new();
     let dataset = Dataset { name: "test".into(), robot: "panda".into(), mounting: Mounting::WALL, source, runs };
     dataset.write(dir).unwrap();
@@ -142,9 +146,7 @@ fn a_payload_that_is_picked_up_within_a_run_is_weighed_and_taken_off() {
         }
         runs.push(Run::new(plumbline_identify::Run { name, ..run }, role));
     }
-    let source = toml::Table::new();
-    let dataset = Dataset { name: "test".into(), robot: "panda".into(), mounting: Mounting::WALL, source, runs };
-    dataset.write(&place.path().join("data")).unwrap();
+    store(&place.path().join("data"), runs);
     let (report, printed, _) = diagnosed(place.path());
     println!("{printed}");
     let found = report.diagnosis.unwrap();
@@ -192,9 +194,7 @@ fn an_unseen_run_that_differs_is_identified_from_where_that_leaves_fewer_causes(
         let run = one.record(&arm, PERIODS, Noise { coloured: 0.05 }, 50 + k as u64);
         runs.push(Run::new(plumbline_identify::Run { name, mounting: Mounting::WALL, ..run }, role));
     }
-    let source = toml::Table::new();
-    let dataset = Dataset { name: "test".into(), robot: "panda".into(), mounting: Mounting::WALL, source, runs };
-    dataset.write(&place.path().join("data")).unwrap();
+    store(&place.path().join("data"), runs);
     let (report, printed, _) = diagnosed(place.path());
     println!("{printed}");
     let found = report.diagnosis.unwrap();

@@ -34,13 +34,16 @@ struct Part {
 impl<'a> Acting<'a> {
     /// Of a state at an operating point, which these runs were identified from.
     pub fn of(chain: &'a Chain, state: &State, operating_point: &OperatingPoint, identified: &[Trial]) -> Acting<'a> {
-        let end = identified.iter().map(|trial| trial.start + trial.experiment.timeline.end()).fold(0.0, f64::max);
         let part = |(index, item): (usize, &Candidate)| {
             let term = item.spec.build(operating_point).ok().filter(|_| !item.span.is_all())?;
             let range = state.range(index);
             Some(Part { term, theta: state.fit.theta.rows(range.start, range.len()).into_owned(), span: item.span })
         };
-        Acting { chain, parts: state.items.iter().enumerate().filter_map(part).collect(), end }
+        Acting {
+            chain,
+            parts: state.items.iter().enumerate().filter_map(part).collect(),
+            end: Trial::end_of(identified),
+        }
     }
 
     /// What they do to a run along its motion, N x n \[Nm\].
@@ -116,14 +119,14 @@ pub(super) fn candidates(
     let mut known: Vec<Span> = came.iter().map(|(_, span)| *span).collect();
     known.dedup();
     let inside = known.iter().flat_map(|span| library(evidence, operating_point, &families, *span, threads));
-    let slow = slowly(trials).into_iter().flat_map(|span| library(evidence, operating_point, &slow(), span, threads));
+    let slow = slowly(trials).flat_map(|span| library(evidence, operating_point, &slow(), span, threads));
     parts.flat_map(of_part).chain(first).chain(inside).chain(slow).collect()
 }
 
 /// From the begin of the recording on, by and by. The power that a joint's friction dissipates hardly differs between the runs of a recording.
-fn slowly(trials: &[Trial]) -> Vec<Span> {
-    let begin = trials.iter().map(|trial| trial.start).fold(f64::INFINITY, f64::min);
-    WARMING_TIME_CONSTANTS_S.map(|rise| Span { rise, ..Span::since(begin) }).to_vec()
+fn slowly(trials: &[Trial]) -> impl Iterator<Item = Span> + use<> {
+    let at_once = Span::since(Trial::begin_of(trials));
+    WARMING_TIME_CONSTANTS_S.into_iter().map(move |rise| Span { rise, ..at_once })
 }
 
 /// The first of several runs.
@@ -159,6 +162,5 @@ pub(super) fn acts(span: Span, trials: &[Trial]) -> Option<Acts> {
 
 /// Whether any of these runs has samples in a part of the recording.
 pub(super) fn any_in(span: Span, trials: &[Trial]) -> bool {
-    let ends = |trial: &Trial| trial.start + trial.experiment.timeline.end();
-    trials.iter().any(|trial| trial.start < span.to && ends(trial) > span.from)
+    trials.iter().any(|trial| trial.start < span.to && trial.end() > span.from)
 }

@@ -172,7 +172,7 @@ pub fn diagnose(input: &Input, settings: &Settings, progress: &Watch) -> Result<
         not_identifiable: detectable::not_identifiable(&independences),
         path: steps("the plain model", &joints, &selected.path),
         scores: scores(&selected, &effects, input.identify),
-        notes: notes(&evidence, input, (&hints, acting.any_slow()), &different, &undetermined),
+        notes: notes(&evidence, input, &hints, acting.any_slow(), &different, &undetermined),
         effects,
         hints,
         empirical,
@@ -212,7 +212,8 @@ fn delivered<'a>(problem: &Problem, base: &'a State, state: &'a State, kept: &[b
 fn notes(
     evidence: &Evidence,
     input: &Input,
-    (hints, slow): (&[Effect], bool),
+    hints: &[Effect],
+    slow: bool,
     disagreements: &[Disagreement],
     undetermined: &[Disagreement],
 ) -> Vec<String> {

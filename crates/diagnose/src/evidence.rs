@@ -75,7 +75,7 @@ pub struct Trial<'a> {
 }
 
 impl Recorded {
-    /// Share of every sample that was recorded in a part of the recording.
+    /// Share of an effect that is there in every sample.
     fn share_in(&self, span: Span) -> Vec<f64> {
         self.timeline.mean_of(|t| span.share_at(self.start + t))
     }
@@ -85,6 +85,21 @@ impl<'a> Trial<'a> {
     /// A run that is alone in its recording.
     pub fn alone(experiment: &'a Experiment) -> Trial<'a> {
         Trial { experiment, session: 1, start: 0.0 }
+    }
+
+    /// Its end on the clock of the recording \[s\].
+    pub fn end(&self) -> f64 {
+        self.start + self.experiment.timeline.end()
+    }
+
+    /// Begin of the first run \[s\].
+    pub(super) fn begin_of(trials: &[Trial]) -> f64 {
+        trials.iter().map(|trial| trial.start).fold(f64::INFINITY, f64::min)
+    }
+
+    /// End of the last run \[s\].
+    pub(super) fn end_of(trials: &[Trial]) -> f64 {
+        trials.iter().map(Trial::end).fold(0.0, f64::max)
     }
 
     /// Runs of one session, one after the other.

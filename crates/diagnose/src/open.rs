@@ -220,7 +220,7 @@ impl OpenQuestions {
         }
         let phi = state.fit.weights.clone();
         let recorded = Information::of(&search.problem, &columns);
-        let ends = trials.iter().map(|trial| trial.start + trial.experiment.timeline.end());
+        let ends = trials.iter().map(Trial::end);
         let first = trials.first().map(|trial| trial.experiment);
         let mut open = OpenQuestions {
             questions: asked,

@@ -187,22 +187,23 @@ impl<'a> Search<'a> {
         }
     }
 
-    /// A candidate that begins where the likelihood is largest, near the begin of a block of a motion that does not repeat.
+    /// A candidate that begins where the likelihood is largest, near the begin of a block of a motion that does not repeat; one that comes by and by, with
+    /// the time constant nearby at which it is.
     fn begun(&self, state: &State, item: Candidate) -> Candidate {
         let evidence = self.evidence();
         let (span, spec) = (item.span, item.spec.clone());
         let sketch = |span: Span| Candidate::sketch(evidence, self.operating_point, spec.clone(), span);
-        let in_range = |rise: f64| rise.clamp(WARMING_TIME_CONSTANTS_S[0], WARMING_TIME_CONSTANTS_S[5]);
+        let [shortest, .., longest] = WARMING_TIME_CONSTANTS_S;
         // The logarithm of a time constant, or the begin within a block.
         let moved = |offset: f64| match span.is_slow() {
-            true => sketch(Span { rise: in_range(span.rise * offset.exp()), ..span }),
+            true => sketch(Span { rise: (span.rise * offset.exp()).clamp(shortest, longest), ..span }),
             false => sketch(Span { from: span.from + offset, ..span }),
         };
-        let length = evidence.length_of_block_at(span.from);
-        let (reach, resolution) = match length {
-            _ if span.is_slow() => (std::f64::consts::LN_2, RISE_RESOLUTION),
-            Some(length) => (length, BEGIN_RESOLUTION_S),
-            None => return item,
+        let (mut reach, resolution) = if span.is_slow() {
+            (std::f64::consts::LN_2, RISE_RESOLUTION)
+        } else {
+            let Some(length) = evidence.length_of_block_at(span.from) else { return item };
+            (length, BEGIN_RESOLUTION_S)
         };
         let gain = |item: &Candidate| {
             let cross = state.columns.cross(evidence, &item.rows);
@@ -210,7 +211,7 @@ impl<'a> Search<'a> {
             gain.map_or(f64::NEG_INFINITY, |gain| gain.evidence)
         };
         // Blocks are short against the time that an effect lasts: there is one maximum nearby.
-        let (mut best, mut here, mut reach) = ((gain(&item), item), 0.0, reach);
+        let (mut best, mut here) = ((gain(&item), item), 0.0);
         while reach > resolution {
             reach *= 0.5;
             for offset in [here - reach, here + reach] {

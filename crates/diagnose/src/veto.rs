@@ -1,7 +1,7 @@
 //! What unseen runs refuse: effects without which they are expected no less, and those that have gone by then.
 
 use super::acting;
-use super::evidence::Evidence;
+use super::evidence::{Evidence, Trial};
 use super::found::Step;
 use super::input::Input;
 use super::select::{Search, Selected};
@@ -44,7 +44,7 @@ pub fn vetoed(search: &Search, mut selected: Selected, input: &Input, evidence: 
 
 /// Ends with the identified runs what came within them and without which the unseen runs after it are predicted better: it has gone by then.
 pub fn end_where_refuted(search: &Search, state: &mut State, evidence: &Evidence, input: &Input) {
-    let end = input.identify.iter().map(|trial| trial.start + trial.experiment.timeline.end()).fold(0.0, f64::max);
+    let end = Trial::end_of(input.identify);
     for item in 0..state.items.len() {
         let span = state.items[item].span;
         if span.is_all() || span.to.is_finite() || !acting::any_in(Span::since(end), input.deciding()) {

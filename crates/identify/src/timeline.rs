@@ -16,12 +16,6 @@ pub struct Timeline {
 }
 
 impl Timeline {
-    /// Share of every sample of the grid, N, that was recorded between two times \[s\]: 0 or 1 without a period, the weight of some periods in
-    /// their mean.
-    pub fn share_between(&self, from: f64, to: f64) -> Vec<f64> {
-        self.mean_of(|t| f64::from((from..to).contains(&t)))
-    }
-
     /// Mean of a function of time over the periods, for each sample of the grid, N; without a period the function.
     pub fn mean_of(&self, function: impl Fn(f64) -> f64) -> Vec<f64> {
         let at = |row: usize| function(row as f64 * self.dt);
@@ -55,6 +49,7 @@ mod tests {
 
     #[test]
     fn a_sample_of_the_mean_was_recorded_in_shares() {
+        let share_between = |of: &Timeline, from: f64, to: f64| of.mean_of(|t| f64::from((from..to).contains(&t)));
         let mean = Timeline {
             dt: 0.5,
             samples: 4,
@@ -63,12 +58,12 @@ mod tests {
             weights: [0.75, 0.5, 0.5, 0.5, 0.25, 0.5, 0.5, 0.5].to_vec(),
         };
         // The periods are from 2 to 4 s and from 4 to 6 s.
-        assert_eq!(mean.share_between(3.0, f64::INFINITY), [0.25, 0.5, 1.0, 1.0]);
-        assert_eq!(mean.share_between(4.5, 5.5), [0.0, 0.5, 0.5, 0.0]);
+        assert_eq!(share_between(&mean, 3.0, f64::INFINITY), [0.25, 0.5, 1.0, 1.0]);
+        assert_eq!(share_between(&mean, 4.5, 5.5), [0.0, 0.5, 0.5, 0.0]);
         assert_eq!(mean.end(), 6.0);
         assert_eq!(mean.mean_of(|t| t), [2.5, 3.5, 4.0, 4.5]);
         let once = Timeline { dt: 0.5, samples: 4, edge: 2, periods: Vec::new(), weights: Vec::new() };
-        assert_eq!(once.share_between(1.5, 2.5), [0.0, 1.0, 1.0, 0.0]);
+        assert_eq!(share_between(&once, 1.5, 2.5), [0.0, 1.0, 1.0, 0.0]);
         assert_eq!(once.end(), 3.0);
     }
 }

@@ -84,7 +84,7 @@ impl Changing {
         let of = |step: &Step| {
             let run = trials.iter().find(|trial| trial.experiment.name == step.run)?;
             let from = run.start + step.time;
-            let to_its_end = Span { to: run.start + run.experiment.timeline.end(), ..Span::since(from) };
+            let to_its_end = Span { to: run.end(), ..Span::since(from) };
             // At the end of the last run both are the same.
             let spans = [Some(Span::since(from)), Some(to_its_end).filter(|_| run.start < last)];
             let spec = step.spec.clone();
@@ -130,7 +130,7 @@ impl Changing {
 /// repeats have no part in it but for their hygiene.
 pub fn changing(operating_point: &OperatingPoint, trials: &[Trial]) -> Changing {
     let mut found = Changing::default();
-    let first = begin(trials);
+    let first = Trial::begin_of(trials);
     let mut records: Vec<Record> =
         trials.iter().filter_map(|trial| Record::of(trial.experiment, trial.start - first)).collect();
     for trial in trials {
@@ -232,11 +232,6 @@ fn courses_without(
     };
     let rows = records.iter_mut().zip(never).zip(events).map(of_run).collect();
     (Deviations::of(records, operating_point).courses(&[]), rows)
-}
-
-/// Begin of the first run \[s\].
-fn begin(trials: &[Trial]) -> f64 {
-    trials.iter().map(|trial| trial.start).fold(f64::INFINITY, f64::min)
 }
 
 /// What drifts through the recording do to the mean period of each run, less what they do at the end of the last one, N x n \[Nm\]. Without it the

@@ -290,7 +290,7 @@ fn unseen_runs_are_predicted_with_what_acts_in_their_part_of_the_recording() {
     // From the second identified run on; the run that decides begins in it.
     let since = identify.trials()[1].start;
     let effects = [(spec("torque-offset", 1), Span::since(since), 9.0)];
-    let late = |trial: &Trial| trial.start + trial.experiment.timeline.end() > since;
+    let late = |trial: &Trial| trial.end() > since;
     assert!(identify.trials().iter().any(late));
     Case::of(&identify, &veto).deliver(&effects, |delivery, selected| {
         let plain = Fitted { structure: structure(), identification: delivery.before.clone() };

@@ -10,8 +10,7 @@ use plumbline_identify::solve;
 /// Diagnoses `identify` by itself, with runs that decide and were recorded after it.
 fn judged(identify: &Recorded, veto: &Recorded, judged_by: Of) -> Outcome {
     let identified = identify.trials();
-    let last = identified.last().unwrap();
-    let end = last.start + last.experiment.timeline.end();
+    let end = identified.last().unwrap().end();
     let mut veto = veto.trials();
     veto.iter_mut().for_each(|trial| trial.start += end);
     let input = Input {
