@@ -126,11 +126,14 @@ impl Even {
             let rows = &on_grid(rows, &run.t, even.values.nrows(), dt)[first..first + whole];
             let measured = measured.values.column(column);
             let measured = &measured.as_slice()[first..first + whole];
-            let of_period = Missing { filled: &filled, spoiled: rows, left_out: &left_out, samples };
+            let of_period = Missing { filled: &filled, spoiled: rows, left_out: &left_out, long: &long, samples };
             count(column, of_period.repair(values.as_mut_slice(), measured, &mut alone));
         }
         left_out.iter_mut().zip(&alone).for_each(|(left_out, alone)| *left_out |= alone);
-        let mut unusable: Vec<bool> = (0..whole).map(|row| row < settling || long[row] || alone[row]).collect();
+        let mut lost: Vec<bool> = (0..whole).map(|row| long[row] || alone[row]).collect();
+        // A start that is not settled does not go on from the end of the period.
+        lost[0] |= settling > 0;
+        let mut unusable: Vec<bool> = (0..whole).map(|row| row < settling || lost[row]).collect();
         let mut periods: Vec<usize> = (skipped..found).collect();
         // Periods that are excluded as a whole are removed.
         let gone = left_out.chunks(samples).enumerate().filter(|(_, period)| period.iter().all(|left_out| *left_out));
@@ -140,12 +143,13 @@ impl Even {
             filled.drain(k * samples..(k + 1) * samples);
             left_out.drain(k * samples..(k + 1) * samples);
             unusable.drain(k * samples..(k + 1) * samples);
+            lost.drain(k * samples..(k + 1) * samples);
             periods.remove(k);
         }
         if periods.is_empty() {
             return Err(EstimateError::Periods { run: run.name.clone(), found, skipped: found, period });
         }
-        let weights = weights(&left_out, &unusable, samples, dt);
+        let weights = weights(&left_out, &unusable, &lost, samples, dt);
         let averaged = average(&rest, &weights, &filled, samples, dt);
         Ok(Even {
             periods,
@@ -170,25 +174,28 @@ struct Missing<'a> {
     /// Spoiled in this column.
     spoiled: &'a [bool],
     left_out: &'a [bool],
+    /// Lost in all columns, for longer.
+    long: &'a [bool],
     /// Samples of a period.
     samples: usize,
 }
 
 impl Missing<'_> {
     /// Puts into the column what the other periods have there, and returns how many spoiled samples that were. What every period does, and the only
-    /// one, is `measured`; where the others are left out, the line across it stays. Marks spoiled samples as `alone` of which some other periods have
-    /// a part and none has all.
+    /// one, is `measured`. Marks spoiled samples as `alone` of which some other periods have a part and none has all, or which others have that are left
+    /// out; where none has any, the line across it stays.
     fn repair(&self, values: &mut [f64], measured: &[f64], alone: &mut [bool]) -> usize {
-        let Missing { filled, spoiled, left_out, samples } = *self;
+        let Missing { filled, spoiled, left_out, long, samples } = *self;
         let either = |a: &[bool], b: &[bool]| a.iter().zip(b).map(|(a, b)| a | b).collect::<Vec<bool>>();
         let found = fill(values, &either(filled, spoiled), &either(left_out, spoiled), samples);
         let rows = spoiled.len();
         let (replaced, open): (Vec<usize>, Vec<usize>) =
             (0..rows).filter(|&row| spoiled[row]).partition(|&row| found[row]);
         for row in open {
-            let others = || (row % samples..rows).step_by(samples).filter(|&other| other != row && !left_out[other]);
-            let (any, all_spoiled) = (others().next().is_some(), others().all(|other| spoiled[other]));
-            if any && !all_spoiled {
+            let others = || (row % samples..rows).step_by(samples).filter(|&other| other != row && !long[other]);
+            let any = others().any(|other| !left_out[other]);
+            let one_has_it = others().any(|other| !spoiled[other] && !(any && left_out[other]));
+            if one_has_it {
                 alone[row] = true;
             } else if any || rows == samples {
                 values[row] = measured[row];

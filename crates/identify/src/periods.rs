@@ -127,10 +127,10 @@ pub fn mean(values: &DMatrix<f64>, weights: &[f64], samples: usize) -> DMatrix<f
 
 /// Weight of every row in the mean over its periods, one in sum for each sample of a period.
 ///
-/// Rows that are `left_out` count nowhere but where all periods are, and `unusable` ones not there either if there are others. Periods differ a little,
-/// so a period fades out before rows that are left out and in after them: a step in the mean of the positions would be a blow in its
-/// accelerations. The end of the record adjoins its start, as the end of the mean does.
-pub fn weights(left_out: &[bool], unusable: &[bool], samples: usize, dt: f64) -> Vec<f64> {
+/// Rows that are `left_out` count nowhere but where all periods are; of these `unusable` ones not there either if there are others, and of the unusable
+/// ones the `lost` ones never. Periods differ a little, so a period fades out before rows that are left out and in after them: a step in the mean of
+/// the positions would be a blow in its accelerations. The end of the record adjoins its start, as the end of the mean does.
+pub fn weights(left_out: &[bool], unusable: &[bool], lost: &[bool], samples: usize, dt: f64) -> Vec<f64> {
     let periods = left_out.len() / samples;
     let quintic = |x: f64| x.powi(3) * (10.0 - 15.0 * x + 6.0 * x * x);
     let faded = |out: &dyn Fn(usize) -> bool| {
@@ -139,10 +139,13 @@ pub fn weights(left_out: &[bool], unusable: &[bool], samples: usize, dt: f64) ->
     };
     let mut weights = faded(&|row| left_out[row]);
     let at_need = faded(&|row| unusable[row]);
+    let at_last = faded(&|row| lost[row]);
     for k in 0..samples {
         let own = || (0..periods).map(|p| p * samples + k);
+        let open = 1.0 - own().map(|row| at_need[row]).sum::<f64>();
         let missing = MIN_WEIGHT - own().map(|row| weights[row]).sum::<f64>();
         own().filter(|&row| left_out[row] && missing > 0.0).for_each(|row| weights[row] = missing * at_need[row]);
+        own().for_each(|row| weights[row] += open.max(0.0) * at_last[row]);
         let total: f64 = own().map(|row| weights[row]).sum();
         own().for_each(|row| weights[row] = if total > 0.0 { weights[row] / total } else { 1.0 / periods as f64 });
     }
@@ -380,7 +383,7 @@ mod tests {
         assert!((0..79).all(|row| apart(row) < 1e-9) && apart(79) < 0.05, "{values:?}");
         // What was filled tells nothing of the scatter.
         let values = DMatrix::from_vec(80, 1, values);
-        let weights = weights(&[false; 80], &[false; 80], samples, 0.1);
+        let weights = weights(&[false; 80], &[false; 80], &[false; 80], samples, 0.1);
         let one = average(&values, &weights, &filled, samples, 0.1);
         let all = average(&values, &weights, &[], samples, 0.1);
         assert!((&one.mean - &all.mean).amax() < 1e-12 && one.scatter.unwrap().std[0] > all.scatter.unwrap().std[0]);
@@ -402,7 +405,8 @@ mod tests {
         let values = DMatrix::from_fn(2 * samples, 1, |k, _| above(k));
         let mut left_out = vec![false; values.nrows()];
         left_out[..500].fill(true);
-        let mean = mean(&values, &weights(&left_out, &vec![false; left_out.len()], samples, dt), samples);
+        let none = vec![false; left_out.len()];
+        let mean = mean(&values, &weights(&left_out, &none, &none, samples, dt), samples);
         assert_eq!((mean[250], mean[2000]), (0.0, 0.5 * above(2000)));
         let ddq = |k: usize| {
             let at = |k: usize| mean[k % samples];
@@ -421,10 +425,20 @@ mod tests {
         let unsettled: Vec<bool> = (0..2 * samples).map(|k| k < 1000).collect();
         let left_out: Vec<bool> =
             unsettled.iter().enumerate().map(|(k, out)| *out || (4300..4700).contains(&k)).collect();
-        let mean = mean(&values, &weights(&left_out, &unsettled, samples, dt), samples);
+        let none = vec![false; 2 * samples];
+        let of_period = mean(&values, &weights(&left_out, &unsettled, &none, samples, dt), samples);
         for (k, expected) in [(200, 2.0), (500, 2.0), (900, 2.0), (2500, 1.5)] {
-            assert!((mean[k] - expected).abs() < 1e-12, "{k}: {}", mean[k]);
+            assert!((of_period[k] - expected).abs() < 1e-12, "{k}: {}", of_period[k]);
         }
+        // Where the second is lost the first counts, settled or not.
+        let lost: Vec<bool> = (0..2 * samples).map(|k| (4300..4700).contains(&k)).collect();
+        let unusable: Vec<bool> = (0..2 * samples).map(|k| unsettled[k] || lost[k]).collect();
+        let of_period = mean(&values, &weights(&left_out, &unusable, &lost, samples, dt), samples);
+        for (k, expected) in [(300, 1.0), (500, 1.0), (699, 1.0), (2500, 1.5)] {
+            assert!((of_period[k] - expected).abs() < 1e-12, "{k}: {}", of_period[k]);
+        }
+        let steps = (1..samples).map(|k| (of_period[k] - of_period[k - 1]).abs());
+        assert!(steps.fold(0.0, f64::max) < 0.01);
     }
 
     #[test]

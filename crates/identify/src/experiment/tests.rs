@@ -231,3 +231,25 @@ fn lost_samples_and_drop_outs_do_not_move_the_mean_of_periods_that_differ() {
     let std = |experiment: &Experiment| experiment.scatter.as_ref().unwrap().std[0];
     assert!((std(&torn) / std(&whole) - 1.0).abs() < 0.1, "{} {}", std(&torn), std(&whole));
 }
+
+/// Where the torques of the one settled period are lost, motion and torques are those of the other, which is not.
+#[test]
+fn a_drop_out_where_the_other_period_has_not_settled_is_no_line() {
+    let mut run = run(Some(2.0), 4.0);
+    for (k, t) in run.t.clone().into_iter().enumerate() {
+        for j in 0..2 {
+            let w = PI * (j + 1) as f64;
+            let tick = ((k * k) as f64 * 0.618_034).fract() - 0.5;
+            let start = 0.002 * (-t / 0.15).exp();
+            run.q[(k, j)] = (w * t).sin() + start + 1e-6 * tick;
+            run.tau[(k, j)] = 2.0 * (start / (0.15 * 0.15) - w * w * (w * t).sin()) + 1e-3 * tick;
+        }
+    }
+    run.tau.view_mut((2400, 0), (200, 2)).fill(0.0);
+    let experiment = Experiment::prepare(&run, &kept_periods()).unwrap();
+    assert!(experiment.settling > 0.6, "{} s", experiment.settling);
+    let error = inertia(&experiment.motion) - &experiment.tau;
+    let error = experiment.filter(&DMatrix::from_column_slice(error.len(), 1, error.as_slice())).amax();
+    // A line would be off by 0.4 and 3 Nm.
+    assert!(error < 0.1, "{error} Nm");
+}
