@@ -90,12 +90,13 @@ def friction(p, v, q, factor, load, z, h):
 @njit(cache=True)
 def drive(step, model, data, h, every, q, v, applied, bias, damping, gravity, mass, inertia, force, origin, frame, centre, motor, twist,
           table, later, change, coupling, ratio, z, heat, reference, speed_reference, kp, kd, balance, tau_max, quantum, hold, tool, tool_load, tool_times,
-          upright, tilt, tilt_times, shake, shake_f, touch_body, touch, touch_times, out):
+          upright, tilt, tilt_times, shake, shake_f, touch_body, touch, touch_times, rotor, out):
     """Runs the controlled arm along a reference. `out` [5, samples, joints]: position, speed before and after the step, commanded torque,
     torque behind the gear."""
     n = table.shape[0]
     steps = reference.shape[0]
     load = np.zeros(n)
+    before = np.zeros(n)
     rub = np.zeros(n)
     rub_slope = np.zeros(n)
     for k in range(-hold, steps):
@@ -172,6 +173,7 @@ def drive(step, model, data, h, every, q, v, applied, bias, damping, gravity, ma
                 damping[a] = slope
                 applied[a] = command - drag + slope * v[a]
             load[i] = behind - drag
+            before[i] = v[a]
             if k >= 0 and k % every == 0:
                 row = k // every
                 out[0, row, i] = q[a]
@@ -179,6 +181,9 @@ def drive(step, model, data, h, every, q, v, applied, bias, damping, gravity, ma
                 out[3, row, i] = command
                 out[4, row, i] = behind
         call_step(step, model, data)
+        for i in range(n):  # what the gear transmits: the rotor is accelerated before it
+            if twist[i] < 0:
+                load[i] -= rotor[motor[i]] * (v[motor[i]] - before[i]) / h
         if not abs(v[motor[0]]) + abs(v[motor[n - 1]]) < 200.0:
             out[1, 0, 0] = np.nan
             return
@@ -250,7 +255,7 @@ class Plant:
               self.motor, self.twist, self.table, later, change, self.coupling, self.ratio, np.zeros((n, 4)), self.heat, reference[: out.shape[1] * every],
               speed, kp, kd, balance, self.arm.tau_max * 1.5, quantum, int(HOLD / STEP), tool, c.tool, np.array(c.tool_times, float),
               self.gravity.copy(), tilt, np.array(c.tilt_times, float), c.shake, c.shake_f, model.body(f"link{c.touch_link + 1}").id, c.touch,
-              np.array(c.touch_times, float), out)
+              np.array(c.touch_times, float), model.dof_armature, out)
         if not np.isfinite(out).all() or np.abs(out[1]).max() > 30:
             raise FloatingPointError("the simulated arm diverged")
         return out
