@@ -1,15 +1,24 @@
 //! What becomes of a finding: veto, adequacy, delivery, verdict.
 
-use super::synthetic::{At, FLOOR, Recorded, once, recorded};
+use super::synthetic::{At, DT, FLOOR, Recorded, once, recorded};
 use plumbline_diagnose::Outcome;
 use plumbline_diagnose::outcome::{Action, BeforeAfter, Confirmation, Diagnosis, Effect, JointFacts, Verdict};
 use plumbline_diagnose::{Input, Settings, diagnose};
 use plumbline_identify::solve;
 use plumbline_model::term::torque_offset;
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution, StandardNormal};
 use std::f64::consts::TAU;
 
 /// Diagnoses `identify`; `veto` decides what is accepted and delivered, errors are measured on `judge`.
 fn outcome(identify: &Recorded, veto: &Recorded, judge: &Recorded) -> Outcome {
+    let outcome = diagnosed(identify, veto, judge);
+    println!("{:?}, {:?}, joint 2: {:?}", outcome.diagnosis.verdict, labels(&outcome), outcome.diagnosis.joints[1]);
+    outcome
+}
+
+fn diagnosed(identify: &Recorded, veto: &Recorded, judge: &Recorded) -> Outcome {
     let (identified, veto, judge) = (identify.trials(), veto.trials(), judge.trials());
     let input = Input {
         structure: &identify.structure,
@@ -19,9 +28,7 @@ fn outcome(identify: &Recorded, veto: &Recorded, judge: &Recorded) -> Outcome {
         options: &solve::Options::default(),
         came: &[],
     };
-    let outcome = diagnose(&input, &Settings::default(), &|_| {}).unwrap();
-    println!("{:?}, {:?}, joint 2: {:?}", outcome.diagnosis.verdict, labels(&outcome), outcome.diagnosis.joints[1]);
-    outcome
+    diagnose(&input, &Settings::default(), &|_| {}).unwrap()
 }
 
 /// Findings, which are in the model, and hints, which are not.
@@ -320,4 +327,31 @@ fn slow_noise_of_a_motion_without_repeats_is_no_dependence_and_a_bump_is_one() {
     assert_eq!(alarms, 0, "of 24 joints");
     let bump = |at: &At| [0.0, 0.3 * (-((at.q[1] - 0.2) / 0.15).powi(2)).exp()];
     assert_eq!(unexplained(20.0, 60, bump), [2]);
+}
+
+#[test]
+fn slow_noise_of_a_motion_without_repeats_is_no_effect_that_came_and_an_offset_is_one() {
+    // First-order noise of 0.5 s, in blocks of two seconds.
+    let noise = |seed: u64| {
+        let (mut rng, keep) = (ChaCha8Rng::seed_from_u64(seed), (-DT / 0.5).exp());
+        let mut state = [0.0; 2];
+        let mut step = || {
+            let unit: [f64; 2] = std::array::from_fn(|_| StandardNormal.sample(&mut rng));
+            state = std::array::from_fn(|j| keep * state[j] + 0.25 * (1.0 - keep * keep).sqrt() * unit[j]);
+            state
+        };
+        let samples: Vec<[f64; 2]> = (0..(32.0 / DT) as usize).map(|_| step()).collect();
+        move |at: &At| samples[at.k]
+    };
+    let came = |seed: u64, offset: f64| {
+        let noise = noise(seed);
+        let torque = |at: &At| [noise(at)[0], noise(at)[1] + if at.t > 17.3 { offset } else { 0.0 }];
+        let unseen = once(6.0, seed + 500, |_| [0.0; 2]);
+        let found = diagnosed(&once(30.0, seed, torque), &unseen, &unseen).diagnosis;
+        found.effects.iter().filter(|effect| effect.acts.is_some()).map(Effect::place).collect::<Vec<_>>()
+    };
+    let alarms: Vec<String> = (800..812).flat_map(|seed| came(seed, 0.0)).collect();
+    assert!(alarms.is_empty(), "{alarms:?}");
+    let found = came(800, 0.6);
+    assert!(found.len() == 1 && found[0].starts_with("torque-offset in joint 2"), "{found:?}");
 }
