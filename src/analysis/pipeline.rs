@@ -108,6 +108,19 @@ pub fn experiments(runs: &[&Run], settings: &Settings) -> Result<Vec<Experiment>
     parallel(runs, threads(), |run| experiment(&run.data, settings)).into_iter().collect()
 }
 
+/// Prepared runs to compare with a known model: each period along its own motion, with what the resolution of the encoders does to the model's torque as
+/// noise.
+pub fn experiments_of(model: &TorqueModel, runs: &[&Run], settings: &Settings) -> Result<Vec<Experiment>, Failure> {
+    let settings = Settings { keep_periods: true, ..settings.clone() };
+    let mut experiments = experiments(runs, &settings)?;
+    for experiment in &mut experiments {
+        experiment.follow_own_motion(|motion| model.predict(motion));
+        experiment.add_resolution(|motion| model.predict(motion));
+        experiment.repeats = None;
+    }
+    Ok(experiments)
+}
+
 /// Prepared runs, with the data that the chosen estimator needs.
 pub fn for_estimator(runs: &[&Run], settings: &Settings, options: &solve::Options) -> Result<Vec<Experiment>, Failure> {
     let keep_periods = settings.keep_periods || options.estimator.needs_periods();

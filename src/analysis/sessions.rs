@@ -58,7 +58,8 @@ impl Reference<'_> {
 
     fn one(&self, session: u32, runs: &[&Run], block: &mut Diagnosis, out: &Path) -> Result<(), Failure> {
         let (find, judge) = split::find_and_judge(runs, &mut block.notes);
-        let prepare = |runs: &[Run]| pipeline::experiments(&runs.iter().collect::<Vec<_>>(), self.settings);
+        let prepare =
+            |runs: &[Run]| pipeline::experiments_of(self.model, &runs.iter().collect::<Vec<_>>(), self.settings);
         let (find, unseen) = (prepare(&find)?, prepare(&judge)?);
         // Within one session, an effect is there or it is not.
         let trials = Trial::in_turn(&find);

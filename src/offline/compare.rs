@@ -78,8 +78,8 @@ pub fn compare(options: &Options) -> Result<Report, Failure> {
     bar.busy("preparing the runs");
     let find: Vec<&Run> = find.iter().collect();
     pipeline::check_torques(&find)?;
-    let experiments = pipeline::experiments(&find, &settings)?;
-    let unseen = pipeline::experiments(&judge.iter().collect::<Vec<_>>(), &settings)?;
+    let experiments = pipeline::experiments_of(model, &find, &settings)?;
+    let unseen = pipeline::experiments_of(model, &judge.iter().collect::<Vec<_>>(), &settings)?;
     let trials = diagnosis::trials(&experiments, &find);
     bar.busy("building candidates");
     let changes = reference::changes(model, &trials, &search, &diagnosis::search_on(&bar));

@@ -10,7 +10,7 @@ use crate::outcome::{
 use crate::select::MAX_LISTED_SCORES;
 use plumbline_model::{Mounting, TorqueModel};
 
-/// A joint whose residual power is more than this many times its noise lacks something.
+/// A joint whose residual power is more than this many times its noise lacks something, if that is above the noise of the mean period.
 const LACKING_RATIO: f64 = 2.0;
 /// Quantities of an effect in its line.
 const MAX_LISTED_QUANTITIES: usize = 4;
@@ -148,7 +148,8 @@ fn joints(changes: &Changes) -> Vec<JointFacts> {
 }
 
 fn unexplained((joint, facts): (usize, &JointFacts)) -> Option<Unexplained> {
-    let lacking = facts.lack_of_fit.after.is_some_and(|ratio| ratio > LACKING_RATIO);
+    let above = facts.unmodelled.after.zip(facts.threshold).is_none_or(|(rms, least)| rms > least);
+    let lacking = above && facts.lack_of_fit.after.is_some_and(|ratio| ratio > LACKING_RATIO);
     lacking.then(|| Unexplained {
         joint: joint + 1,
         rms: facts.unmodelled.after,
