@@ -222,9 +222,9 @@ fn prepared(question: &Question) -> Result<(Vec<Experiment>, Changing, Vec<Exper
             experiments.iter_mut().for_each(|one| one.follow_own_motion(|motion| plain.predict(motion)));
         }
     }
-    cleaned(&mut experiments, &found);
     if let Some(plain) = &plain {
         let operating_point = question.structure.operating_point(&plain.beta());
+        cleaned(&mut experiments, &found, &operating_point);
         let drifts = until_the_end(&found, &operating_point, &trials(&experiments, question.identify));
         experiments.iter_mut().zip(drifts.into_iter().flatten()).for_each(|(one, torque)| one.take_off_drift(torque));
     }

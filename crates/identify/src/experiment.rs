@@ -89,6 +89,8 @@ pub struct Repeats {
     pub q: DMatrix<f64>,
     /// Deviations of the torques, P N x n \[Nm\].
     pub tau: DMatrix<f64>,
+    /// The mean torques, less those of the models whose deviations were taken off, N x n \[Nm\].
+    pub mean: DMatrix<f64>,
     /// Whether a row counts, P N.
     pub counted: Vec<bool>,
 }
@@ -165,6 +167,7 @@ impl Experiment {
                 periods: periods.clone(),
                 q: deviations.columns(0, n).into_owned(),
                 tau: of_tau(),
+                mean: values.view((edge, n), (count, n)).into_owned(),
                 counted,
             }),
             resolution: run.q.column_iter().map(|column| resolution(column.as_slice()).unwrap_or(0.0)).collect(),
@@ -245,6 +248,7 @@ impl Experiment {
             let mut part = repeats.tau.rows_mut(p * samples, samples);
             part -= own.rows(p * samples, samples) - &mean;
         }
+        repeats.mean -= mean;
         centre(&mut repeats.tau, &repeats.counted, samples);
         self.noise_of_deviations();
     }

@@ -5,9 +5,10 @@
 //! A line in the spectrum of the whole recording that is coherent through these columns is a base motion; its frequency is no multiple of
 //! that of the motion, or every period would repeat it.
 
-use super::record::{Record, median};
+use super::record::{Record, blocks, mean_of_periods, median};
 use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 use plumbline_core::symmetric_eigen;
+use plumbline_identify::Experiment;
 use plumbline_identify::signal::spectral::Spectral;
 use plumbline_model::term::Motion;
 use plumbline_model::term::load::Load;
@@ -54,14 +55,41 @@ pub struct BaseMotion {
     pub rms: Vec<f64>,
 }
 
+impl BaseMotion {
+    /// What it does to the periods of its run along their mean motion, each at the samples of [`Repeats`], P N x n \[Nm\]; `None` without repeats.
+    pub(super) fn of_periods(&self, experiment: &Experiment, load: &Load) -> Option<DMatrix<f64>> {
+        let (motion, repeats) = (&experiment.motion, experiment.repeats.as_ref()?);
+        let (samples, gravity) = (motion.samples(), gravity_columns(motion, load));
+        let torque = |row: usize, joint: usize| {
+            let time = (repeats.periods[row / samples] * samples + row % samples) as f64 * motion.dt;
+            let (sin, cos) = (TAU * self.frequency * time).sin_cos();
+            gravity[joint].row(row % samples).tr_dot(&(self.cosine * cos + self.sine * sin))
+        };
+        Some(DMatrix::from_fn(repeats.tau.nrows(), repeats.tau.ncols(), torque))
+    }
+
+    /// What it does to the mean of its run's periods, N x n \[Nm\].
+    pub(super) fn of_mean(&self, experiment: &Experiment, load: &Load) -> DMatrix<f64> {
+        let (motion, angle) = (&experiment.motion, |t: f64| TAU * self.frequency * t);
+        let gravity = gravity_columns(motion, load);
+        let cosines = experiment.timeline.mean_of(|t| angle(t).cos());
+        let sines = experiment.timeline.mean_of(|t| angle(t).sin());
+        let torque =
+            |k: usize, joint: usize| gravity[joint].row(k).tr_dot(&(self.cosine * cosines[k] + self.sine * sines[k]));
+        DMatrix::from_fn(motion.samples(), motion.joints(), torque)
+    }
+}
+
 /// The lines of one run, the strongest first. `rest` are its centred deviations, P N x n.
 pub(super) fn base_motions(record: &Record, load: &Load, rest: &DMatrix<f64>) -> Vec<BaseMotion> {
-    let gravity = gravity_columns(record, load);
-    let mut rest = rest.clone();
+    let gravity = gravity_columns(&record.motion, load);
+    let (mut rest, mut mean) = (rest.clone(), blocks(&record.repeats.mean, record.step));
     let mut found: Vec<BaseMotion> = Vec::new();
     while found.len() < MAX_LINES {
-        let Some(one) = strongest(record, &gravity, &rest) else { break };
-        rest -= torque(record, &gravity, &one);
+        let Some(one) = strongest(record, &gravity, &rest, &mean) else { break };
+        let torque = torque(record, &gravity, &one);
+        mean -= mean_of_periods(&torque, &record.uncounted, record.samples);
+        rest -= record.centred_all(torque);
         found.push(one);
     }
     found
@@ -71,22 +99,22 @@ pub(super) fn base_motions(record: &Record, load: &Load, rest: &DMatrix<f64>) ->
 pub(super) fn torques(record: &Record, load: &Load, lines: &[BaseMotion]) -> DMatrix<f64> {
     let mut sum = DMatrix::zeros(record.tau.nrows(), record.joints());
     if !lines.is_empty() {
-        let gravity = gravity_columns(record, load);
+        let gravity = gravity_columns(&record.motion, load);
         lines.iter().for_each(|line| sum += torque(record, &gravity, line));
     }
-    sum
+    record.centred_all(sum)
 }
 
-/// Torques of each joint per unit of acceleration of the base along each of its axes, over one period: N x 3 for each joint.
-pub(super) fn gravity_columns(record: &Record, load: &Load) -> Vec<DMatrix<f64>> {
-    let still = DMatrix::zeros(record.samples, record.joints());
-    let mut columns = vec![DMatrix::zeros(record.samples, 3); record.joints()];
+/// Torques of each joint per unit of acceleration of the base along each of its axes, along a motion: N x 3 for each joint.
+pub(super) fn gravity_columns(motion: &Motion, load: &Load) -> Vec<DMatrix<f64>> {
+    let still = DMatrix::zeros(motion.samples(), motion.joints());
+    let mut columns = vec![DMatrix::zeros(motion.samples(), 3); motion.joints()];
     for c in 0..3 {
         let mut axis = Vector3::zeros();
         // Gravity is the opposite of what it takes to hold against it.
         axis[c] = -1.0;
-        let motion = Motion { dq: still.clone(), ddq: still.clone(), gravity: axis, ..record.motion.clone() };
-        let tau = load.along(&motion);
+        let held = Motion { dq: still.clone(), ddq: still.clone(), gravity: axis, ..motion.clone() };
+        let tau = load.along(&held);
         for (joint, own) in columns.iter_mut().enumerate() {
             own.set_column(c, &tau.column(joint));
         }
@@ -106,13 +134,18 @@ fn unrolled(record: &Record, x: &[f64]) -> Vec<f64> {
     out
 }
 
-fn strongest(record: &Record, gravity: &[DMatrix<f64>], rest: &DMatrix<f64>) -> Option<BaseMotion> {
+fn strongest(
+    record: &Record,
+    gravity: &[DMatrix<f64>],
+    rest: &DMatrix<f64>,
+    mean: &DMatrix<f64>,
+) -> Option<BaseMotion> {
     let joints = record.joints();
     let per_joint: Vec<Vec<f64>> =
         (0..joints).map(|j| unrolled(record, &rest.column(j).iter().copied().collect::<Vec<_>>())).collect();
     let length = per_joint.first()?.len();
     let spectral = Spectral::new(length, record.dt);
-    let noise = noise(record, rest);
+    let (noise, noise_of_mean) = (Noise::of(rest, record, record.periods() - 1), Noise::of(mean, record, 1));
     // Spectra of deviation times column, and how strong the columns are.
     let mut spectra: Vec<[Vec<Complex<f64>>; 3]> = Vec::new();
     let mut strength: Vec<Matrix3<f64>> = Vec::new();
@@ -157,7 +190,7 @@ fn strongest(record: &Record, gravity: &[DMatrix<f64>], rest: &DMatrix<f64>) -> 
     let mut strong: Vec<(usize, f64)> = lines.filter(|(_, ratio)| *ratio > MIN_LINE_POWER_RATIO).collect();
     strong.sort_by(|a, b| power[b.0].1.total_cmp(&power[a.0].1));
     strong.into_iter().take(MAX_LINES).find_map(|(k, ratio)| {
-        let line = Line { record, gravity, rest, noise: &noise };
+        let line = Line { record, gravity, rest, mean, noise: &noise, noise_of_mean: &noise_of_mean };
         let width = 1.0 / (length as f64 * record.dt);
         let frequency = line.peak(spectral.frequency(power[k].0), width);
         Some(line.fit(frequency)?.report(&line, frequency, ratio)?)
@@ -172,6 +205,21 @@ struct Noise {
 }
 
 impl Noise {
+    /// Of periods below each other that have so many degrees of freedom together.
+    fn of(x: &DMatrix<f64>, record: &Record, freedom: usize) -> Noise {
+        let spectral = Spectral::new(record.samples, record.dt);
+        let mut power = DMatrix::zeros(spectral.bins(), x.ncols());
+        let scale = 1.0 / (record.samples * freedom.max(1)) as f64;
+        for (joint, column) in x.column_iter().enumerate() {
+            for period in column.iter().copied().collect::<Vec<_>>().chunks(record.samples) {
+                for (bin, value) in spectral.transform(period).iter().enumerate() {
+                    power[(bin, joint)] += scale * value.norm_sqr();
+                }
+            }
+        }
+        Noise { power, width: spectral.frequency(1) }
+    }
+
     fn at(&self, joint: usize, frequency: f64) -> f64 {
         let low = (frequency / SMOOTHING_RATIO / self.width).round() as usize;
         let high =
@@ -181,20 +229,6 @@ impl Noise {
         // The median, so that a line does not hide itself.
         median(&mut values).max(1e-12)
     }
-}
-
-fn noise(record: &Record, rest: &DMatrix<f64>) -> Noise {
-    let spectral = Spectral::new(record.samples, record.dt);
-    let mut power = DMatrix::zeros(spectral.bins(), record.joints());
-    let scale = 1.0 / (record.samples * (record.periods() - 1).max(1)) as f64;
-    for (joint, column) in rest.column_iter().enumerate() {
-        for period in column.iter().copied().collect::<Vec<_>>().chunks(record.samples) {
-            for (bin, value) in spectral.transform(period).iter().enumerate() {
-                power[(bin, joint)] += scale * value.norm_sqr();
-            }
-        }
-    }
-    Noise { power, width: spectral.frequency(1) }
 }
 
 /// Inverse on the directions in which the arm feels a base motion at all.
@@ -210,7 +244,11 @@ struct Line<'a> {
     record: &'a Record<'a>,
     gravity: &'a [DMatrix<f64>],
     rest: &'a DMatrix<f64>,
+    /// Mean torques less those of the plain model, N x n.
+    mean: &'a DMatrix<f64>,
     noise: &'a Noise,
+    /// The same of `mean`; what the model lacks counts as noise there.
+    noise_of_mean: &'a Noise,
 }
 
 /// Cosine and sine of the acceleration, with what they explain.
@@ -234,12 +272,18 @@ impl Line<'_> {
         0.5 * (low + high)
     }
 
-    /// Least squares of the three columns times cosine and sine; the mean over the periods is taken off those too.
+    /// Least squares of the three columns times cosine and sine, in the deviations and in the mean: of two periods the deviations hardly tell the
+    /// amplitude of a line near a harmonic of the motion.
     fn fit(&self, frequency: f64) -> Option<Fitted> {
         let (mut g, mut b) = (DMatrix::zeros(6, 6), DVector::zeros(6));
         for (joint, columns) in self.gravity.iter().enumerate() {
             let weight = 1.0 / self.noise.at(joint, frequency);
             let x = waves(self.record, columns, frequency);
+            let of_mean = mean_of_periods(&x, &self.record.uncounted, self.record.samples);
+            let weight_of_mean = 1.0 / self.noise_of_mean.at(joint, frequency);
+            g += of_mean.tr_mul(&of_mean) * weight_of_mean;
+            b += of_mean.tr_mul(&self.mean.column(joint)) * weight_of_mean;
+            let x = self.record.centred_all(x);
             g += x.tr_mul(&x) * weight;
             b += x.tr_mul(&self.rest.column(joint)) * weight;
         }
@@ -253,7 +297,7 @@ impl Line<'_> {
     }
 }
 
-/// Columns times cosine, then times sine, as the mean motion of a run would show them: P N x 6.
+/// Columns times cosine, then times sine, along the mean motion of a run: P N x 6.
 fn waves(record: &Record, columns: &DMatrix<f64>, frequency: f64) -> DMatrix<f64> {
     let rows = record.tau.nrows();
     let mut x = DMatrix::zeros(rows, 6);
@@ -267,7 +311,7 @@ fn waves(record: &Record, columns: &DMatrix<f64>, frequency: f64) -> DMatrix<f64
             (x[(row, c)], x[(row, 3 + c)]) = (column * cos, column * sin);
         }
     }
-    record.centred_all(x)
+    x
 }
 
 fn torque(record: &Record, gravity: &[DMatrix<f64>], line: &BaseMotion) -> DMatrix<f64> {
@@ -302,7 +346,7 @@ impl Fitted {
         };
         let tau = torque(line.record, line.gravity, &found);
         found.rms = tau.column_iter().map(|own| (own.norm_squared() / own.len() as f64).sqrt()).collect();
-        found.explained = explained(line, frequency, &tau);
+        found.explained = explained(line, frequency, &line.record.centred_all(tau));
         Some(found)
     }
 }

@@ -1,6 +1,7 @@
 //! What differs from period to period as effects, notes and data quality of a diagnosis.
 
 use super::{BaseMotion, Changing, Contact, Course, Drift, Drifting, Hygiene, Shared, Step};
+use crate::evidence::{BAND_EDGES_HZ, LOW_BANDS};
 use crate::outcome::{Acts, Diagnosis, Effect, Folds, JointFacts, Parameters, Quantity, Verdict, places};
 use plumbline_model::term::{base_motion, contact};
 
@@ -26,10 +27,17 @@ impl Changing {
             };
             rms.iter().zip(joints).any(enough)
         };
+        // Coarse encoders have noise at higher frequencies that would hide what spoils slow motion.
+        let matters_below = |line: &BaseMotion| {
+            let enough = |(rms, facts): (&f64, &JointFacts)| {
+                threshold.is_none() && facts.floor_of_period.is_some_and(|floor| *rms >= least_floor * floor)
+            };
+            line.frequency <= BAND_EDGES_HZ[LOW_BANDS - 1] && line.rms.iter().zip(joints).any(enough)
+        };
         let lines = lines(&self.base_motions);
         let significant = !contacts.is_empty()
             || self.drifts.iter().any(|drift| matters(&drift.rms))
-            || lines.iter().any(|(line, _)| matters(&line.rms))
+            || lines.iter().any(|(line, _)| matters(&line.rms) || matters_below(line))
             || self.steps.iter().any(|step| matters(&step.rms));
         diagnosis.verdict = match (diagnosis.verdict, significant) {
             (Verdict::NothingSignificant | Verdict::NotDetermined, true) => Verdict::Diagnosed,

@@ -189,7 +189,9 @@ pub fn changing(operating_point: &OperatingPoint, trials: &[Trial]) -> Changing 
         match record {
             Some(record) => {
                 let full: Vec<bool> = masks[of_run].iter().flat_map(|&masked| vec![masked; record.step]).collect();
-                found.scatter.push(Some(scatter(record, &torques[of_run], &record.without(&masks[of_run]))));
+                let lines = lines_of(&found, record.experiment, operating_point);
+                let masked = record.without(&masks[of_run]);
+                found.scatter.push(Some(scatter(record, &torques[of_run], lines.as_ref(), &masked)));
                 of_run += 1;
                 looks.push((trial.experiment, full));
             }
@@ -296,9 +298,15 @@ fn merged(mut stretches: Vec<ExcludedSpan>) -> Vec<ExcludedSpan> {
     out
 }
 
-/// Takes the contacts off experiments, whose noise spectrum is that of [`Changing::scatter`] then. They may have fewer periods by now than those that
+/// What the lines of a run do to its periods, P N x n at its samples \[Nm\]; `None` where it has none.
+fn lines_of(found: &Changing, experiment: &Experiment, operating_point: &OperatingPoint) -> Option<DMatrix<f64>> {
+    let own = found.base_motions.iter().filter(|line| line.run == experiment.name);
+    own.filter_map(|line| line.of_periods(experiment, &operating_point.load)).reduce(|sum, one| sum + one)
+}
+
+/// Takes base motions, contacts and steps off experiments, whose noise spectrum is that of [`Changing::scatter`] then. They may have fewer periods by now than those that
 /// were looked at.
-pub fn cleaned(experiments: &mut [Experiment], found: &Changing) {
+pub fn cleaned(experiments: &mut [Experiment], found: &Changing, operating_point: &OperatingPoint) {
     // Single samples that are off hardly count in the noise.
     if found.drifts.is_empty()
         && found.base_motions.is_empty()
@@ -309,6 +317,13 @@ pub fn cleaned(experiments: &mut [Experiment], found: &Changing) {
         return;
     }
     for (experiment, scatter) in experiments.iter_mut().zip(&found.scatter) {
+        let lines = lines_of(found, experiment, operating_point);
+        lines.inspect(|torque| experiment.take_off_deviations(torque));
+        for line in &found.base_motions {
+            if line.run == experiment.name {
+                experiment.take_off(&line.of_mean(experiment, &operating_point.load));
+            }
+        }
         // Where a contact is left out it has no part in the mean, and nothing is taken off.
         for contact in &found.contacts {
             if contact.run != experiment.name {
@@ -346,8 +361,8 @@ fn left_out(record: &Record, masked: &[bool]) -> Vec<ExcludedSpan> {
     found
 }
 
-/// Scatter at the full rate without what is known and without the masked rows of the grid.
-fn scatter(record: &Record, known: &DMatrix<f64>, masked: &[bool]) -> Scatter {
+/// Scatter at the full rate without what is `known` on the grid, the `lines` at the full rate, and the masked rows of the grid.
+fn scatter(record: &Record, known: &DMatrix<f64>, lines: Option<&DMatrix<f64>>, masked: &[bool]) -> Scatter {
     let (samples, step) = (record.experiment.motion.samples(), record.step);
     let (periods, joints) = (record.periods(), record.joints());
     let dt = record.experiment.motion.dt;
@@ -356,8 +371,11 @@ fn scatter(record: &Record, known: &DMatrix<f64>, masked: &[bool]) -> Scatter {
     let rows = periods * samples;
     let told = (rows - masked.iter().filter(|masked| **masked).count() * step).saturating_sub(samples).max(1);
     for joint in 0..joints {
-        let mut x: Vec<f64> =
-            (0..rows).map(|row| record.repeats.tau[(row, joint)] - known[(row / step, joint)]).collect();
+        let left = |row: usize| {
+            let line = lines.map_or(0.0, |lines| lines[(row, joint)]);
+            record.repeats.tau[(row, joint)] - known[(row / step, joint)] - line
+        };
+        let mut x: Vec<f64> = (0..rows).map(left).collect();
         for k in 0..samples {
             let own = (k..rows).step_by(samples);
             let counted = own.clone().filter(|row| !masked[row / step]);

@@ -283,7 +283,7 @@ pub(super) fn spread(values: &[f64]) -> (f64, f64) {
 }
 
 /// Mean over the periods that count at each of `samples`; over all where none does.
-fn mean_of_periods(x: &DMatrix<f64>, uncounted: &[bool], samples: usize) -> DMatrix<f64> {
+pub(super) fn mean_of_periods(x: &DMatrix<f64>, uncounted: &[bool], samples: usize) -> DMatrix<f64> {
     DMatrix::from_fn(samples, x.ncols(), |k, j| {
         let all = (k..x.nrows()).step_by(samples);
         let mut rows: Vec<usize> = all.clone().filter(|&row| !uncounted[row]).collect();

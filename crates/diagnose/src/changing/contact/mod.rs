@@ -181,7 +181,7 @@ pub(super) fn contact(
     if tried.is_empty() {
         return None;
     }
-    let rivals = data.rivals(record, &gravity_columns(record, &operating_point.load));
+    let rivals = data.rivals(record, &gravity_columns(&record.motion, &operating_point.load));
     let beats = |one: Fitted| {
         let gap = data.gap(&rivals, &one);
         (gap >= MAX_RIVAL_SCORE_GAP).then_some((one, gap))

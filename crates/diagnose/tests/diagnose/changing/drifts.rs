@@ -75,7 +75,7 @@ fn a_joint_that_warms_up_from_run_to_run_has_one_drift() {
         assert!((value - truth).abs() < 0.25 * truth.abs(), "{drift:?}");
     }
 
-    cleaned(&mut experiments, &found);
+    cleaned(&mut experiments, &found, &stage.operating_point);
     experiments.iter_mut().zip(torques).for_each(|(experiment, torque)| experiment.take_off_drift(torque));
     let identify = trials(&experiments, starts);
     let reduction = Reduction::any_mounting(&stage.chain);
