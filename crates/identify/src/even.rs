@@ -126,7 +126,7 @@ impl Even {
             let rows = &on_grid(rows, &run.t, even.values.nrows(), dt)[first..first + whole];
             let measured = measured.values.column(column);
             let measured = &measured.as_slice()[first..first + whole];
-            let of_period = Missing { filled: &filled, spoiled: rows, left_out: &left_out, long: &long, samples };
+            let of_period = Missing { filled: &filled, spoiled: rows, left_out: &left_out, long: &long, samples, dt };
             count(column, of_period.repair(values.as_mut_slice(), measured, &mut alone));
         }
         left_out.iter_mut().zip(&alone).for_each(|(left_out, alone)| *left_out |= alone);
@@ -178,24 +178,27 @@ struct Missing<'a> {
     long: &'a [bool],
     /// Samples of a period.
     samples: usize,
+    /// Time between them \[s\].
+    dt: f64,
 }
 
 impl Missing<'_> {
     /// Puts into the column what the other periods have there, and returns how many spoiled samples that were. What every period does, and the only
-    /// one, is `measured`. Marks spoiled samples as `alone` of which some other periods have a part and none has all, or which others have that are left
-    /// out; where none has any, the line across it stays.
+    /// one, is `measured`. Marks spoiled samples as `alone` of which some other periods have a part and none has all, or, of stretches that are too long for
+    /// a line, which others have that are left out; otherwise the line across it stays.
     fn repair(&self, values: &mut [f64], measured: &[f64], alone: &mut [bool]) -> usize {
-        let Missing { filled, spoiled, left_out, long, samples } = *self;
+        let Missing { filled, spoiled, left_out, long, samples, dt } = *self;
         let either = |a: &[bool], b: &[bool]| a.iter().zip(b).map(|(a, b)| a | b).collect::<Vec<bool>>();
         let found = fill(values, &either(filled, spoiled), &either(left_out, spoiled), samples);
         let rows = spoiled.len();
+        let no_line = long_stretches(spoiled.to_vec(), dt, MAX_CURVE_S);
         let (replaced, open): (Vec<usize>, Vec<usize>) =
             (0..rows).filter(|&row| spoiled[row]).partition(|&row| found[row]);
         for row in open {
             let others = || (row % samples..rows).step_by(samples).filter(|&other| other != row && !long[other]);
             let any = others().any(|other| !left_out[other]);
             let one_has_it = others().any(|other| !spoiled[other] && !(any && left_out[other]));
-            if one_has_it {
+            if one_has_it && (any || no_line[row]) {
                 alone[row] = true;
             } else if any || rows == samples {
                 values[row] = measured[row];
