@@ -2,7 +2,7 @@
 
 use super::EstimateError;
 use super::faults::{interpolate, spoiled};
-use super::periods::{Scatter, average, fill, weights};
+use super::periods::{Scatter, average, centre, fill, weights};
 use super::run::Run;
 use super::settings::Settings;
 use super::settling::settling;
@@ -115,7 +115,7 @@ impl Even {
         left_out.iter_mut().zip(&long).for_each(|(left_out, long)| *left_out |= long);
         let measured = measured.map(|measured| resample(&run.t, &measured, Some(dt)).map_err(signal)).transpose()?;
         let whole = rest.nrows();
-        let mut alone = vec![false; whole];
+        let (mut alone, mut replaced_rows) = (vec![false; whole], filled.clone());
         for column in 0..rest.ncols() {
             let own = spoiled.iter().find(|(own, _)| *own == column).zip(measured.as_ref());
             let mut values = rest.column_mut(column);
@@ -124,6 +124,7 @@ impl Even {
                 continue;
             };
             let rows = &on_grid(rows, &run.t, even.values.nrows(), dt)[first..first + whole];
+            replaced_rows.iter_mut().zip(rows).for_each(|(replaced, spoiled)| *replaced |= spoiled);
             let measured = measured.values.column(column);
             let measured = &measured.as_slice()[first..first + whole];
             let of_period = Missing { filled: &filled, spoiled: rows, left_out: &left_out, long: &long, samples, dt };
@@ -133,6 +134,7 @@ impl Even {
         let mut lost: Vec<bool> = (0..whole).map(|row| long[row] || alone[row]).collect();
         // A start that is not settled does not go on from the end of the period.
         lost[0] |= settling > 0;
+        let mut no_deviation = long_stretches(replaced_rows, dt, MAX_LINE_S);
         let mut unusable: Vec<bool> = (0..whole).map(|row| row < settling || lost[row]).collect();
         let mut periods: Vec<usize> = (skipped..found).collect();
         // Periods that are excluded as a whole are removed.
@@ -144,13 +146,22 @@ impl Even {
             left_out.drain(k * samples..(k + 1) * samples);
             unusable.drain(k * samples..(k + 1) * samples);
             lost.drain(k * samples..(k + 1) * samples);
+            no_deviation.drain(k * samples..(k + 1) * samples);
             periods.remove(k);
         }
         if periods.is_empty() {
             return Err(EstimateError::Periods { run: run.name.clone(), found, skipped: found, period });
         }
         let weights = weights(&left_out, &unusable, &lost, samples, dt);
-        let averaged = average(&rest, &weights, &filled, samples, dt);
+        let mut averaged = average(&rest, &weights, &filled, samples, dt);
+        // Torques that other periods stand in for have their deviation, and that of two samples on both sides, which is no noise. Positions go on, for a
+        // step would be a blow in the accelerations.
+        if averaged.scatter.is_some() && no_deviation.contains(&true) {
+            averaged.counted.iter_mut().zip(&no_deviation).for_each(|(counted, none)| *counted &= !none);
+            let mut torques = averaged.deviations.columns(n, n).into_owned();
+            centre(&mut torques, &averaged.counted, samples);
+            averaged.deviations.columns_mut(n, n).copy_from(&torques);
+        }
         Ok(Even {
             periods,
             weights,

@@ -1,5 +1,8 @@
 use super::*;
 use crate::Derivative;
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution, StandardNormal};
 
 fn run(period: Option<f64>, seconds: f64) -> Run {
     let count = (seconds * 1000.0) as usize + 1;
@@ -187,6 +190,25 @@ fn the_resolution_of_an_encoder_is_noise_that_repeats() {
 }
 
 #[test]
+fn motions_that_differ_little_are_often_rounded_to_other_steps() {
+    // Two motions, of which the second is a normal number from the first, at places all over a step.
+    for (sigma, apart) in [(0.02, 0.1), (0.1, 0.22), (0.5, 0.5)] {
+        let mut rng = ChaCha8Rng::seed_from_u64(3);
+        let mut normal = || -> f64 { StandardNormal.sample(&mut rng) };
+        let count = 200_000;
+        let square = |k: usize| {
+            let place = (k as f64 * 0.618_034).fract();
+            let [one, other] = [normal(), normal()].map(|unit| (place + sigma * unit).round());
+            (one - other).powi(2)
+        };
+        let seen = ((0..count).map(square).sum::<f64>() / (2 * count) as f64).sqrt();
+        assert!(seen > apart, "{sigma} of a step are seen as {seen}");
+        assert!((dither(seen, 1.0) / sigma - 1.0).abs() < 0.05, "{} for {sigma}", dither(seen, 1.0));
+    }
+    assert_eq!(dither(0.0, 1.0), 0.0);
+}
+
+#[test]
 fn a_start_from_standstill_is_not_in_the_mean_period() {
     let mut run = run(Some(2.0), 16.0);
     for (k, t) in run.t.clone().into_iter().enumerate() {
@@ -222,12 +244,15 @@ fn lost_samples_and_drop_outs_do_not_move_the_mean_of_periods_that_differ() {
         (torn.q, torn.tau) = (torn.q.remove_row(row), torn.tau.remove_row(row));
     }
     let out = crate::ExcludedSpan { run: "test".into(), from: 0.4, to: 0.8 };
-    let settings = Settings { leave_out: vec![out], ..Settings::default() };
+    let settings = Settings { leave_out: vec![out], ..kept_periods() };
     let [whole, torn] = [whole, torn].map(|run| Experiment::prepare(&run, &settings).unwrap());
     assert_eq!((torn.sampling.missing, torn.replaced[0]), (5, 200));
     // Where the third period stands in for the second, it is above it by what they differ on both sides.
     assert!((&torn.tau - &whole.tau).amax() < 0.01, "{}", (&torn.tau - &whole.tau).amax());
     assert!((&torn.motion.ddq - &whole.motion.ddq).amax() < 0.5, "{}", (&torn.motion.ddq - &whole.motion.ddq).amax());
+    // Its deviation there is that of two samples, and no noise.
+    let repeats = torn.repeats.as_ref().unwrap();
+    assert!((2500..2700).all(|row| !repeats.counted[row] && repeats.tau[(row, 0)] == 0.0) && repeats.counted[2900]);
     let std = |experiment: &Experiment| experiment.scatter.as_ref().unwrap().std[0];
     assert!((std(&torn) / std(&whole) - 1.0).abs() < 0.1, "{} {}", std(&torn), std(&whole));
 }
