@@ -129,6 +129,8 @@ pub fn run(question: &Question) -> Result<Diagnosed, Failure> {
     block.band = question.of.band(question.settings.torque_cutoff);
     block.notes.extend(notes);
     variation.add_to(&mut block, question.diagnosis.least_floor, question.diagnosis.threshold);
+    // What acts in them, too, is known.
+    let unseen = if outcome.unseen.is_empty() { unseen } else { trials(&outcome.unseen, question.unseen) };
     question.name_disagreements(&after.model, &identify, &unseen, &mut block);
     Ok(Diagnosed { after, block, figures: outcome.curves, open: outcome.open })
 }

@@ -220,3 +220,35 @@ fn an_unseen_run_that_differs_is_identified_from_where_that_leaves_fewer_causes(
     }
     assert!(printed.contains("identified from run-2.csv, too"), "{printed}");
 }
+
+/// What came while the arm was identified, and acts in an unseen run, too, is known there, and no other difference of that run is explained by it again.
+#[test]
+fn what_differs_in_an_unseen_run_is_named_beside_what_came_before() {
+    let place = tempfile::tempdir().unwrap();
+    let chain = Robot::load("panda", None).unwrap().chain;
+    let before = arm_with("sim-panda", "");
+    let mut arm = before.clone();
+    arm.joints[1].fc += 0.3;
+    let [identify, validate] = plans();
+    let motions = [&identify[0], &identify[1], &validate[0], &validate[1]];
+    let mut runs = Vec::new();
+    for (k, plan) in motions.into_iter().enumerate() {
+        let name = format!("run-{k}.csv");
+        let own = if k == 0 { &before } else { &arm };
+        let one = period(&chain, own, plan, Mounting::WALL, &name);
+        let mut run = one.record(own, 4, Noise { coloured: 0.05 }, 70 + k as u64);
+        if k == 2 {
+            run.tau.column_mut(4).add_scalar_mut(0.3);
+        }
+        let role = if k < 2 { Role::Identify } else { Role::Validate };
+        runs.push(Run::new(plumbline_identify::Run { name, ..run }, role));
+    }
+    store(&place.path().join("data"), runs);
+    let (report, printed, _) = diagnosed(place.path());
+    let found = report.diagnosis.unwrap();
+    let [friction, offset] = &found.effects[..] else { panic!("{printed}") };
+    assert_eq!((friction.id.as_str(), &friction.joints[..]), ("friction-change", &[2][..]), "{printed}");
+    assert_eq!((offset.id.as_str(), &offset.joints[..]), ("torque-offset", &[5][..]), "{printed}");
+    assert_eq!(friction.acts.as_ref().unwrap().run, "run-1.csv", "{printed}");
+    assert!(offset.label.ends_with("in run-2.csv") && found.verdict == Verdict::Diagnosed, "{printed}");
+}

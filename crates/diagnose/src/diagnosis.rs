@@ -51,6 +51,8 @@ pub struct Outcome {
     pub curves: Curves,
     /// What the recorded runs leave open.
     pub open: OpenQuestions,
+    /// The unseen runs without what acts in a part of the recording; empty where nothing does.
+    pub unseen: Vec<Experiment>,
 }
 
 /// Smallest share of a joint's unmodelled power that its effects explain, for the joint to count as explained.
@@ -195,8 +197,12 @@ pub fn diagnose(input: &Input, settings: &Settings, progress: &Watch) -> Result<
         // Unseen runs that do not repeat: the noise is that of the runs that do.
         diagnosis.noise_floor = model.identification.rms.noise_floor.clone().unwrap_or_default();
     }
+    let unseen = match acting.is_empty() {
+        true => Vec::new(),
+        false => others.iter().map(|trial| trial.experiment.clone()).collect(),
+    };
     let before = Fitted { structure: structure.clone(), identification: before.clone() };
-    Ok(Outcome { diagnosis, before, after: model, residuals, curves, open })
+    Ok(Outcome { diagnosis, before, after: model, residuals, curves, open, unseen })
 }
 
 /// The fit of the delivered model, whose residual is what is left: `state` with those effects that are `kept`, `base` without any.

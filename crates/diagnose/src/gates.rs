@@ -183,8 +183,8 @@ fn change(state: &State, tried: &Tried) -> DVector<f64> {
     change
 }
 
-/// How much more noise lies along what a candidate does than the weights by band say, at least 1, in the joint where that is least: slow noise of motions
-/// that do not repeat is alike in blocks that follow each other, and strongest at frequencies of which a block has few.
+/// How much more noise lies along what a candidate does than the weights by band say, at least 1: slow noise of motions that do not repeat is alike in
+/// blocks that follow each other, and strongest at frequencies of which a block has few.
 ///
 /// Of the products `s_b` of each block's residual, left out of the fit, with the effect as it were in the whole recording:
 /// `sum_b (s_b^2 + 2 sum_l w_l s_b s_(b+l))` with Bartlett's `w` (Newey and West, Econometrica 55, 1987) over what the weights expect, times what few
@@ -193,30 +193,31 @@ pub fn dispersion(problem: &Problem, state: &State, tried: &Tried, item: &Candid
     let (evidence, own) = (problem.evidence, state.fit.theta.len());
     let gamma = tried.fit.theta.rows(own, item.rows.width);
     let left_out = problem.left_out(&tried.moments(state), &tried.fit.phi);
-    let in_joint = |joint: usize| {
-        let (here, everywhere) = (item.rows.of(joint)?, &*everywhere.of(joint)? * gamma);
-        let (mut products, mut expected) = (vec![0.0; evidence.folds().len()], 0.0);
+    let (mut products, mut expected) = (vec![0.0; evidence.folds().len()], 0.0);
+    for joint in item.joints() {
+        let (Some(here), Some(everywhere)) = (item.rows.of(joint), everywhere.of(joint)) else { continue };
+        let effect = &*everywhere * gamma;
         for cell in evidence.cells().iter().filter(|cell| cell.joint == joint) {
             let (first, count) = (cell.rows.start, cell.rows.len());
             let weight = 1.0 / tried.fit.phi[group(joint, cell.band)];
-            let (theta, effect) = (&left_out[cell.fold], everywhere.rows(first, count));
+            let (theta, effect) = (&left_out[cell.fold], effect.rows(first, count));
             let residual = state.columns.r[joint].rows(first, count)
                 - state.columns.m[joint].rows(first, count) * theta.rows(0, own)
                 - here.rows(first, count) * theta.rows(own, item.rows.width);
             products[cell.fold] += weight * effect.dot(&residual);
             expected += weight * effect.norm_squared();
         }
-        let apart = |lag: usize| {
-            let run = |fold: usize| evidence.folds()[fold].experiment;
-            let pairs = (lag..products.len()).filter(|&fold| run(fold) == run(fold - lag));
-            pairs.map(|fold| products[fold] * products[fold - lag]).sum::<f64>()
-        };
-        let weighed = |lag: usize| 2.0 * (1.0 - lag as f64 / (MAX_LAG + 1) as f64) * apart(lag);
-        let width = (MAX_LAG + 1) as f64 / products.len() as f64;
-        let few_blocks = CRITICAL.iter().rev().fold(0.0, |sum, c| sum * width + c) / CRITICAL[0];
-        Some(few_blocks.powi(2) * (apart(0) + (1..=MAX_LAG).map(weighed).sum::<f64>()) / expected)
+    }
+    let apart = |lag: usize| {
+        let run = |fold: usize| evidence.folds()[fold].experiment;
+        let pairs = (lag..products.len()).filter(|&fold| run(fold) == run(fold - lag));
+        pairs.map(|fold| products[fold] * products[fold - lag]).sum::<f64>()
     };
-    item.joints().into_iter().filter_map(in_joint).reduce(f64::min).unwrap_or(1.0).max(1.0)
+    let weighed = |lag: usize| 2.0 * (1.0 - lag as f64 / (MAX_LAG + 1) as f64) * apart(lag);
+    let sum = apart(0) + (1..=MAX_LAG).map(weighed).sum::<f64>();
+    let width = (MAX_LAG + 1) as f64 / products.len() as f64;
+    let few_blocks = CRITICAL.iter().rev().fold(0.0, |sum, c| sum * width + c) / CRITICAL[0];
+    (few_blocks.powi(2) * sum / f64::max(expected, f64::MIN_POSITIVE)).max(1.0)
 }
 
 /// What a candidate explains.

@@ -1,5 +1,7 @@
 //! One run prepared for the regression: averaged, filtered, differentiated.
 
+mod resolution;
+
 use super::EstimateError;
 use super::differentiate::Differentiator;
 use super::even::Even;
@@ -12,7 +14,7 @@ use super::signal::resample::{Sampling, resample};
 use super::signal::spectral::Spectral;
 use super::signal::{SignalError, decimation};
 use super::timeline::Timeline;
-use nalgebra::{DMatrix, DVector};
+use nalgebra::DMatrix;
 use plumbline_model::term::Motion;
 use std::f64::consts::PI;
 
@@ -28,14 +30,6 @@ const APERIODIC_CUTOFF_HZ: f64 = 10.0;
 const MAX_VELOCITY_NOISE: f64 = 1e-3;
 /// Maximum ratio of the position cut-off to half the sampling rate.
 const MAX_NYQUIST_RATIO: f64 = 0.8;
-/// Frequencies below which the errors of such places are compared \[Hz\].
-const RESOLUTION_BAND_HZ: f64 = 16.0;
-/// Places of an encoder's steps that are tried.
-const ROUNDINGS: usize = 8;
-/// Waves of the series for what rounding does to a difference of positions: exact to a hundredth of a step.
-const MAX_WAVES: i32 = 50;
-/// Bisections for the motion behind rounded positions.
-const DITHER_BISECTIONS: usize = 30;
 
 /// One run, prepared for the regression.
 #[derive(Clone, Debug)]
@@ -261,50 +255,6 @@ impl Experiment {
         self.noise_of_deviations();
     }
 
-    /// Adds to [`Scatter::power`] what the resolution of the encoders does to the model's torque. A motion that repeats within one step of an encoder
-    /// is rounded alike in every period: no scatter between periods shows it, and no mean removes it. `predict` gives the torques along a motion.
-    ///
-    /// The motion behind the torques' low-pass, in which the steps are hardly left, is rounded once more: the torque of the difference has the
-    /// spectrum of the error. How much there is depends on where the steps are: it is that of the worst of several places. Motions that differ between periods by `sigma` dither a step `delta`, which leaves `exp(-(2 pi sigma / delta)^2)` of the
-    /// power (Widrow, Kollar, Quantization Noise, 2008).
-    pub fn add_resolution(&mut self, predict: impl Fn(&Motion) -> DMatrix<f64>) {
-        let (Some(scatter), Some(noise)) = (&self.scatter, &self.position_noise) else { return };
-        let mut spectral = Spectral::new(scatter.samples, scatter.dt);
-        let mut q = self.motion.q.clone();
-        for mut column in q.column_iter_mut() {
-            let smooth = self.filter.zero_phase_periodic(&mut spectral, column.as_slice());
-            column.copy_from_slice(&smooth);
-        }
-        let rounded = |shift: f64| {
-            DMatrix::from_fn(q.nrows(), q.ncols(), |k, j| {
-                let step = self.resolution[j];
-                let kept = (-0.5 * (2.0 * PI * dither(noise[j], step) / step).powi(2)).exp();
-                let steps = q[(k, j)] / step;
-                if step > 0.0 { kept * step * ((steps + shift).round() - shift - steps) } else { 0.0 }
-            })
-        };
-        let exact = predict(&self.motion);
-        let of_place = |place: usize, spectral: &mut Spectral| {
-            let error = predict(&self.moved(&rounded(place as f64 / ROUNDINGS as f64))) - &exact;
-            let square = |column: &[f64]| spectral.transform(column).iter().map(|value| value.norm_sqr()).collect();
-            let columns: Vec<DVector<f64>> =
-                error.column_iter().map(|column| DVector::from_vec(square(column.as_slice()))).collect();
-            DMatrix::from_columns(&columns)
-        };
-        let places: Vec<DMatrix<f64>> = (0..ROUNDINGS).map(|place| of_place(place, &mut spectral)).collect();
-        let mean = places.iter().sum::<DMatrix<f64>>() / ROUNDINGS as f64;
-        let low = (0..spectral.bins()).take_while(|&bin| spectral.frequency(bin) < RESOLUTION_BAND_HZ).count();
-        let below = |of: &DMatrix<f64>, j: usize| of.column(j).rows(0, low).sum();
-        let mut power = scatter.power.clone();
-        for j in 0..q.ncols() {
-            let largest = places.iter().map(|own| below(own, j)).fold(0.0, f64::max);
-            let scale =
-                scatter.periods as f64 / scatter.samples as f64 * largest / below(&mean, j).max(f64::MIN_POSITIVE);
-            power.column_mut(j).axpy(scale, &mean.column(j), 1.0);
-        }
-        self.scatter = Some(Scatter { power, ..scatter.clone() });
-    }
-
     /// Adds the desired motion, N x n \[rad\], at the time stamps of the run \[s\].
     ///
     /// # Errors
@@ -464,24 +414,6 @@ impl Experiment {
     pub fn stacked_tau(&self) -> DMatrix<f64> {
         DMatrix::from_column_slice(self.tau.len(), 1, self.tau.as_slice())
     }
-}
-
-/// Standard deviation of a motion between periods from that of its positions, which were rounded to steps: `sigma` in
-///
-///   s^2 = sigma^2 + delta^2 / 2 (1/6 - sum_k exp(-(2 pi k sigma / delta)^2) / (pi k)^2)
-///
-/// A motion that differs by little is often rounded to another step, and its positions seem to differ by more.
-fn dither(std: f64, step: f64) -> f64 {
-    let lost = |sigma: f64| {
-        let wave = |k: f64| (-(2.0 * PI * k * sigma / step).powi(2)).exp() / (PI * k).powi(2);
-        0.5 * step * step * (1.0 / 6.0 - (1..=MAX_WAVES).map(|k| wave(f64::from(k))).sum::<f64>())
-    };
-    let (mut low, mut high) = (0.0, std);
-    for _ in 0..DITHER_BISECTIONS {
-        let middle = 0.5 * (low + high);
-        if middle * middle + lost(middle) < std * std { low = middle } else { high = middle }
-    }
-    0.5 * (low + high)
 }
 
 /// Motion of positions and, where given, measured velocities, without `edge` samples at both ends. Measured velocities pass the filter

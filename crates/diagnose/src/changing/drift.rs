@@ -14,7 +14,7 @@ use plumbline_identify::Experiment;
 use plumbline_model::term::Motion;
 use plumbline_model::term::effect::OperatingPoint;
 use plumbline_model::term::friction::SHARPNESS;
-use plumbline_model::term::{friction_change, friction_drift, offset_drift};
+use plumbline_model::term::{friction_drift, offset_drift};
 
 /// How a drift goes.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -179,14 +179,6 @@ impl Drifting {
         match self {
             Drifting::Offset(_) => offset_drift::ID,
             Drifting::Friction(_) | Drifting::AllFriction => friction_drift::ID,
-        }
-    }
-
-    /// Identity of the family that names the same between two runs.
-    pub(super) fn between_runs(self) -> Option<&'static str> {
-        match self {
-            Drifting::Friction(_) => Some(friction_change::ID),
-            Drifting::Offset(_) | Drifting::AllFriction => None,
         }
     }
 

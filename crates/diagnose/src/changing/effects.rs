@@ -46,15 +46,11 @@ impl Changing {
         };
         for drift in &self.drifts {
             let mut effect = self.drift(drift);
-            // Between two runs it goes on: what one of them has more than the one before is of the same cause.
-            let same = |own: &mut Effect| {
-                let between = [drift.what.between_runs(), Some(drift.what.family())].contains(&Some(own.id.as_str()));
-                between && own.joints == effect.joints && own.acts.is_some()
-            };
+            // What one run has more than the one before is of the same cause.
+            let same = |own: &mut Effect| own.acts.is_some() && effect.goes_on_as(own);
             for of_run in diagnosis.effects.extract_if(.., same).collect::<Vec<_>>() {
-                let since = of_run.acts.map_or(String::new(), |acts| format!(" {acts}"));
-                let own = of_run.parameters.0.into_iter();
-                effect.parameters.0.extend(own.map(|one| Quantity { name: format!("{}{since}", one.name), ..one }));
+                let since = of_run.acts.as_ref().map_or(String::new(), ToString::to_string);
+                effect.take_over(of_run, &since);
             }
             diagnosis.effects.push(effect);
         }

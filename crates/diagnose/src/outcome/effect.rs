@@ -1,6 +1,7 @@
 //! One effect as it stands in `report.json`.
 
 use plumbline_model::term::effect::{Quantity, Stratum, family};
+use plumbline_model::term::{friction_change, friction_drift};
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
 use std::fmt;
@@ -173,6 +174,18 @@ impl Effect {
         }
     }
 
+    /// Whether another effect, between two runs or sessions, is of the same cause: friction that drifts within a run goes on after it.
+    pub fn goes_on_as(&self, other: &Effect) -> bool {
+        let drifts = self.id == friction_drift::ID && [friction_drift::ID, friction_change::ID].contains(&&*other.id);
+        drifts && self.joints == other.joints
+    }
+
+    /// Takes over the parameters of an effect that is of the same cause; `since` tells them from its own.
+    pub fn take_over(&mut self, other: Effect, since: &str) {
+        let named = |one: Quantity| Quantity { name: format!("{} {since}", one.name), ..one };
+        self.parameters.0.extend(other.parameters.0.into_iter().map(named));
+    }
+
     /// Whether the delivered model has it, or was identified without what it does in a part of the recording.
     pub fn counts(&self) -> bool {
         self.in_model || self.acts.is_some()
@@ -189,5 +202,28 @@ impl Effect {
             Some(acts) => format!("{place} {acts}"),
             None => place,
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn friction_that_drifts_goes_on_as_a_change_of_the_same_joint() {
+        let change = |joint: usize| Effect {
+            joints: vec![joint],
+            parameters: Parameters(vec![Quantity::new("dfc6", -0.01, "Nm")]),
+            ..Effect::of(friction_change::ID, "")
+        };
+        let mut drift = Effect {
+            joints: vec![6],
+            parameters: Parameters(vec![Quantity::new("fc", -0.05, "Nm")]),
+            ..Effect::of(friction_drift::ID, "")
+        };
+        assert!(drift.goes_on_as(&change(6)) && !drift.goes_on_as(&change(5)) && !change(6).goes_on_as(&drift));
+        drift.take_over(change(6), "since session 2");
+        let names: Vec<&str> = drift.parameters.0.iter().map(|one| one.name.as_str()).collect();
+        assert_eq!(names, ["fc", "dfc6 since session 2"]);
     }
 }

@@ -1,10 +1,7 @@
 use super::*;
 use crate::Derivative;
-use rand::SeedableRng;
-use rand_chacha::ChaCha8Rng;
-use rand_distr::{Distribution, StandardNormal};
 
-fn run(period: Option<f64>, seconds: f64) -> Run {
+pub(super) fn run(period: Option<f64>, seconds: f64) -> Run {
     let count = (seconds * 1000.0) as usize + 1;
     let t: Vec<f64> = (0..count).map(|k| k as f64 * 1e-3).collect();
     let q = DMatrix::from_fn(count, 2, |k, j| (PI * t[k] * (j + 1) as f64).sin());
@@ -126,11 +123,11 @@ fn too_few_and_too_short_periods_are_errors() {
 }
 
 /// Torque of an inertia of 2 kg m2 in each joint.
-fn inertia(motion: &Motion) -> DMatrix<f64> {
+pub(super) fn inertia(motion: &Motion) -> DMatrix<f64> {
     2.0 * &motion.ddq
 }
 
-fn kept_periods() -> Settings {
+pub(super) fn kept_periods() -> Settings {
     Settings { keep_periods: true, ..Settings::default() }
 }
 
@@ -154,58 +151,6 @@ fn a_period_is_compared_with_the_model_along_its_own_motion() {
     assert!(before.iter().zip(&after).all(|(before, after)| *after < 0.1 * before), "{before:?} {after:?}");
     // The raw samples scatter as they did.
     assert!(experiment.scatter.unwrap().std[0] > 1e-3);
-}
-
-#[test]
-fn the_resolution_of_an_encoder_is_noise_that_repeats() {
-    const STEP: f64 = 1e-4;
-    for (dither, repeats) in [(0.0, true), (2.0 * STEP, false)] {
-        let mut run = run(Some(2.0), 16.0);
-        run.tau = DMatrix::from_fn(run.q.nrows(), 2, |k, j| -2.0 * (PI * (j + 1) as f64).powi(2) * run.q[(k, j)]);
-        // What dithers differs from sample to sample and from period to period.
-        let dithered = |k: usize| dither * (2.0 * ((k * k) as f64 * 0.618_034).fract() - 1.0);
-        run.q = DMatrix::from_fn(run.q.nrows(), 2, |k, j| ((run.q[(k, j)] + dithered(k)) / STEP).round() * STEP);
-        let mut experiment = Experiment::prepare(&run, &kept_periods()).unwrap();
-        assert!(experiment.resolution.iter().all(|step| (step / STEP - 1.0).abs() < 1e-6));
-        let in_band = |signal: &[f64]| {
-            let spectral = Spectral::new(signal.len(), 1e-3);
-            let values = spectral.transform(signal);
-            let power = values.iter().enumerate().filter(|(bin, _)| spectral.frequency(*bin) < 16.0);
-            (2.0 * power.map(|(_, value)| value.norm_sqr()).sum::<f64>()).sqrt() / signal.len() as f64
-        };
-        let error = inertia(&experiment.motion) - &experiment.tau;
-        let noise = |experiment: &Experiment| experiment.scatter.as_ref().unwrap().std_of_mean(|f| f64::from(f < 16.0));
-        let before = noise(&experiment);
-        experiment.add_resolution(inertia);
-        let after = noise(&experiment);
-        for j in 0..2 {
-            let ratio = after[j] / in_band(error.column(j).as_slice());
-            if repeats {
-                assert!(before[j] < 1e-9 && (0.5..2.0).contains(&ratio), "joint {j}: {before:?} {after:?}, {ratio}");
-            } else {
-                assert!((after[j] - before[j]).abs() < 1e-3 * before[j].max(1e-9), "joint {j}: {before:?} {after:?}");
-            }
-        }
-    }
-}
-
-#[test]
-fn motions_that_differ_little_are_often_rounded_to_other_steps() {
-    // Two motions, of which the second is a normal number from the first, at places all over a step.
-    for (sigma, apart) in [(0.02, 0.1), (0.1, 0.22), (0.5, 0.5)] {
-        let mut rng = ChaCha8Rng::seed_from_u64(3);
-        let mut normal = || -> f64 { StandardNormal.sample(&mut rng) };
-        let count = 200_000;
-        let square = |k: usize| {
-            let place = (k as f64 * 0.618_034).fract();
-            let [one, other] = [normal(), normal()].map(|unit| (place + sigma * unit).round());
-            (one - other).powi(2)
-        };
-        let seen = ((0..count).map(square).sum::<f64>() / (2 * count) as f64).sqrt();
-        assert!(seen > apart, "{sigma} of a step are seen as {seen}");
-        assert!((dither(seen, 1.0) / sigma - 1.0).abs() < 0.05, "{} for {sigma}", dither(seen, 1.0));
-    }
-    assert_eq!(dither(0.0, 1.0), 0.0);
 }
 
 #[test]
