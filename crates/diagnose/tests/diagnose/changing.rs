@@ -3,7 +3,8 @@
 mod drifts;
 
 use nalgebra::{DMatrix, DVector, Vector3};
-use plumbline_diagnose::changing::{Changing, Course, Drifting, Shared, changing, cleaned, until_the_end};
+use plumbline_diagnose::changing::{BaseMotion, Changing, Course, Drifting, Shared, changing, cleaned, until_the_end};
+use plumbline_diagnose::outcome::{Diagnosis, JointFacts, Verdict};
 use plumbline_diagnose::{Fitted, Input, Trial, diagnose};
 use plumbline_excite::PeriodicMotion;
 use plumbline_identify::signal::spectral::Spectral;
@@ -203,6 +204,33 @@ fn what_a_base_that_shakes_near_a_harmonic_does_to_the_mean_is_found_and_taken_o
     // Its torque is that in the periods, not that in their deviations.
     let rms = |joint: usize| of_base_rms(stage, direction * 0.2, joint);
     assert!((line.rms[1] / rms(1) - 1.0).abs() < 0.15, "{} {}", line.rms[1], rms(1));
+}
+
+#[test]
+fn a_slow_base_motion_counts_also_where_noise_of_higher_frequencies_is_above_it() {
+    let verdict = |frequency: f64, rms: f64| {
+        let line = BaseMotion {
+            run: "run0".into(),
+            frequency,
+            amplitude: 0.01,
+            std: 0.001,
+            direction: Vector3::x(),
+            cosine: Vector3::x() * 0.01,
+            sine: Vector3::zeros(),
+            ratio: 50.0,
+            explained: 1.0,
+            rms: vec![rms],
+        };
+        let found = Changing { base_motions: vec![line], runs: vec!["run0".into()], ..Changing::default() };
+        let joint = JointFacts { floor_of_mean: Some(0.14), floor_of_period: Some(0.04), ..JointFacts::default() };
+        let mut diagnosis =
+            Diagnosis { verdict: Verdict::NothingSignificant, joints: vec![joint], ..Diagnosis::default() };
+        found.add_to(&mut diagnosis, 0.7, None);
+        diagnosis.verdict
+    };
+    assert_eq!(verdict(3.5, 0.05), Verdict::Diagnosed);
+    assert_eq!([verdict(9.0, 0.05), verdict(3.5, 0.02)], [Verdict::NothingSignificant; 2]);
+    assert_eq!(verdict(9.0, 0.12), Verdict::Diagnosed);
 }
 
 /// RMS of a joint's torque while the base shakes with this amplitude along the first trajectory.
