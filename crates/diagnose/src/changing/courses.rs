@@ -28,6 +28,8 @@ const MIN_SCORE: f64 = 10.0;
 const MIN_RUN_RATIO: f64 = 0.25;
 /// Evaluations of the search for a time constant.
 const MAX_EVALUATIONS: usize = 8;
+/// A step is found at most this long after a stretch of which one period alone tells \[s\].
+const NEAR_S: f64 = 0.8;
 
 /// Coefficients of deviations, one vector per run, for one joint.
 type Rows = Vec<Vec<f64>>;
@@ -384,6 +386,7 @@ impl Deviations<'_> {
         Step {
             run: record.experiment.name.clone(),
             time: record.time(row),
+            earliest: record.time(earliest(record, row)),
             row,
             spec: coming.spec.clone(),
             evidence: fitted.evidence,
@@ -394,6 +397,17 @@ impl Deviations<'_> {
             periods: record.repeats.periods.clone(),
         }
     }
+}
+
+/// The first row at which what comes at a row may have come: no other period tells of those in between.
+fn earliest(record: &Record, row: usize) -> usize {
+    let alone = |row: &usize| {
+        let periods = (row % record.samples..record.masked.len()).step_by(record.samples);
+        periods.filter(|&own| !record.masked[own]).count() < 2
+    };
+    let near = row.saturating_sub((NEAR_S / record.dt) as usize);
+    let last = (near..=row).rev().find(alone);
+    last.and_then(|last| (0..=last).rev().take_while(alone).last()).unwrap_or(row)
 }
 
 impl What {

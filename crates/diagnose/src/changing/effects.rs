@@ -56,7 +56,8 @@ impl Changing {
         }
         // The search of the means has the parameters of those that it found.
         let known = |step: &Step| {
-            let same = |acts: &Acts| acts.run == step.run && (acts.from - step.time).abs() < SAME_TIME_S;
+            let near = step.earliest - SAME_TIME_S..step.time + SAME_TIME_S;
+            let same = |acts: &Acts| acts.run == step.run && near.contains(&acts.from);
             diagnosis.effects.iter().any(|effect| effect.acts.as_ref().is_some_and(same))
         };
         let steps = self.steps.iter().filter(|step| matters(&step.rms) && !known(step)).map(came).collect::<Vec<_>>();

@@ -41,6 +41,8 @@ use transient::Event;
 
 /// Time before and after an event that is left out too \[s\].
 const EVENT_MARGIN_S: f64 = 0.2;
+/// Begins that are tried between the earliest and the latest at which something may have come.
+const EARLIER_BEGINS: usize = 4;
 
 /// Smallest number of periods in which an event may be something else than a contact. Two have no majority. The median of three is one of them, so
 /// that the scale of deviations is too small and noise is flagged as events.
@@ -78,17 +80,23 @@ pub struct Changing {
 }
 
 impl Changing {
-    /// What came within one of these runs, each with two parts of the recording: to its run's end, and to the end of the recording.
+    /// What came within one of these runs, each with two parts of the recording: to its run's end, and to the end of the recording. Where one period alone
+    /// tells of the time in which it came, several begins are tried.
     pub fn came(&self, trials: &[Trial]) -> Vec<(Spec, Span)> {
         let last = trials.iter().map(|trial| trial.start).fold(f64::NEG_INFINITY, f64::max);
         let of = |step: &Step| {
             let run = trials.iter().find(|trial| trial.experiment.name == step.run)?;
-            let from = run.start + step.time;
-            let to_its_end = Span { to: run.end(), ..Span::since(from) };
-            // At the end of the last run both are the same.
-            let spans = [Some(Span::since(from)), Some(to_its_end).filter(|_| run.start < last)];
+            let earlier = if step.earliest < step.time { EARLIER_BEGINS } else { 0 };
+            let spans = |place: usize| {
+                let share = place as f64 / EARLIER_BEGINS as f64;
+                let from = run.start + step.time - share * (step.time - step.earliest);
+                let to_its_end = Span { to: run.end(), ..Span::since(from) };
+                // At the end of the last run both are the same.
+                [Some(Span::since(from)), Some(to_its_end).filter(|_| run.start < last)]
+            };
+            let spans: Vec<Span> = (0..=earlier).flat_map(spans).flatten().collect();
             let spec = step.spec.clone();
-            Some(spans.into_iter().flatten().map(move |span| (spec.clone(), span)))
+            Some(spans.into_iter().map(move |span| (spec.clone(), span)))
         };
         self.steps.iter().filter_map(of).flatten().collect()
     }

@@ -20,6 +20,8 @@ pub struct Step {
     pub run: String,
     /// When it comes, since the first sample of the run \[s\].
     pub time: f64,
+    /// Earlier than `time` where it may have come then as well: nothing tells when in what one period alone has recorded \[s\].
+    pub earliest: f64,
     /// The row of its run's record.
     pub(super) row: usize,
     /// What comes.

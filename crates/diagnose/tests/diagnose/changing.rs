@@ -480,6 +480,27 @@ to = 63.3
     assert!((contact.force - Vector3::new(6.0, -3.0, 8.0)).norm() < 2.0 && contact.link == 6, "{contact:?}");
 }
 
+/// The first period is left out where the offset comes in the second, and no other tells of that time.
+#[test]
+fn what_comes_while_one_period_alone_tells_of_it_may_have_come_earlier() {
+    let stage = stage();
+    let (mut run, mut before) = (0, 0.0);
+    let runs = recorded_periods(2, 2, 33, |at, tau| {
+        run += usize::from(at.t < before);
+        before = at.t;
+        tau[2] += if run == 1 && at.t > 10.4 { 0.6 } else { 0.0 };
+    });
+    let out = ExcludedSpan { run: runs[1].name.clone(), from: 0.0, to: 1.5 };
+    let experiments = prepared(&runs, &Settings { leave_out: vec![out], ..kept() });
+    let trials = Trial::in_turn(&experiments);
+    let found = changing(&stage.operating_point, &trials);
+    let [step] = &found.steps[..] else { panic!("{} steps, {} drifts", found.steps.len(), found.drifts.len()) };
+    assert!((9.7..=10.4).contains(&step.earliest) && (10.4..13.0).contains(&step.time), "{step:?}");
+    let begin = trials[1].start + 10.4;
+    let nearest = found.came(&trials).into_iter().map(|(_, span)| (span.from - begin).abs()).fold(f64::MAX, f64::min);
+    assert!(nearest < 0.4, "{nearest} s");
+}
+
 #[test]
 fn what_comes_at_once_is_found_with_its_time_in_two_periods() {
     // An offset in the first run; more friction in the second, to its end.
