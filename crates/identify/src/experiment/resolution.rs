@@ -21,8 +21,8 @@ impl Experiment {
     /// is rounded alike in every period: no scatter between periods shows it, and no mean removes it. `predict` gives the torques along a motion.
     ///
     /// The motion behind the torques' low-pass, in which the steps are hardly left, is rounded once more: the torque of the difference has the
-    /// spectrum of the error. How much there is depends on where the steps are: it is that of the worst of several places. Motions that differ between periods by `sigma` dither a step `delta`, which leaves `exp(-(2 pi sigma / delta)^2)` of the
-    /// power (Widrow, Kollar, Quantization Noise, 2008).
+    /// spectrum of the error. How much there is depends on where the steps are: it is that of the worst of several places. Motions that differ between
+    /// periods by `sigma` dither a step `delta`, which leaves `exp(-(2 pi sigma / delta)^2)` of the power (Widrow, Kollar, Quantization Noise, 2008).
     pub fn add_resolution(&mut self, predict: impl Fn(&Motion) -> DMatrix<f64>) {
         let (Some(scatter), Some(noise)) = (&self.scatter, &self.position_noise) else { return };
         let mut spectral = Spectral::new(scatter.samples, scatter.dt);
@@ -31,12 +31,13 @@ impl Experiment {
             let smooth = self.filter.zero_phase_periodic(&mut spectral, column.as_slice());
             column.copy_from_slice(&smooth);
         }
+        let kept = |(step, noise): (&f64, &f64)| (-0.5 * (2.0 * PI * dither(*noise, *step) / step).powi(2)).exp();
+        let kept: Vec<f64> = self.resolution.iter().zip(noise).map(kept).collect();
         let rounded = |shift: f64| {
             DMatrix::from_fn(q.nrows(), q.ncols(), |k, j| {
                 let step = self.resolution[j];
-                let kept = (-0.5 * (2.0 * PI * dither(noise[j], step) / step).powi(2)).exp();
                 let steps = q[(k, j)] / step;
-                if step > 0.0 { kept * step * ((steps + shift).round() - shift - steps) } else { 0.0 }
+                if step > 0.0 { kept[j] * step * ((steps + shift).round() - shift - steps) } else { 0.0 }
             })
         };
         let exact = predict(&self.motion);
