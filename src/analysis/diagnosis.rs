@@ -5,7 +5,7 @@ use crate::analysis::pipeline::{self, Identified};
 use crate::dataset::Run;
 use crate::failure::Failure;
 use crate::process::progress::{self, Bar};
-use plumbline_diagnose::changing::{Changing, changing, cleaned, until_the_end};
+use plumbline_diagnose::changing::{Changing, changing, cleaned, until_the_end, without_base_motions};
 use plumbline_diagnose::errors::Of;
 use plumbline_diagnose::figures::Curves;
 use plumbline_diagnose::outcome::Changes;
@@ -227,6 +227,7 @@ fn prepared(question: &Question) -> Result<(Vec<Experiment>, Changing, Vec<Exper
     if let Some(plain) = &plain {
         let operating_point = question.structure.operating_point(&plain.beta());
         cleaned(&mut experiments, &found, &operating_point);
+        without_base_motions(&mut unseen, &found, &operating_point);
         let drifts = until_the_end(&found, &operating_point, &trials(&experiments, question.identify));
         experiments.iter_mut().zip(drifts.into_iter().flatten()).for_each(|(one, torque)| one.take_off_drift(torque));
     }

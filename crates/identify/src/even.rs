@@ -208,7 +208,7 @@ impl Missing<'_> {
         for row in open {
             let others = || (row % samples..rows).step_by(samples).filter(|&other| other != row && !long[other]);
             let any = others().any(|other| !left_out[other]);
-            let one_has_it = others().any(|other| !spoiled[other] && !(any && left_out[other]));
+            let one_has_it = others().any(|other| !(spoiled[other] || any && left_out[other]));
             if one_has_it && (any || no_line[row]) {
                 alone[row] = true;
             } else if any || rows == samples {

@@ -306,6 +306,28 @@ fn merged(mut stretches: Vec<ExcludedSpan>) -> Vec<ExcludedSpan> {
     out
 }
 
+/// Takes base motions off unseen runs that have those of the identified runs, too: they are no difference between the runs.
+pub fn without_base_motions(unseen: &mut [Experiment], found: &Changing, operating_point: &OperatingPoint) {
+    for experiment in unseen.iter_mut().filter(|_| !found.base_motions.is_empty()) {
+        let Some(record) = Record::of(experiment, 0.0) else { continue };
+        let resolution = 1.0 / (record.tau.nrows() as f64 * record.dt);
+        let known = |line: &BaseMotion| {
+            found.base_motions.iter().any(|known| (known.frequency - line.frequency).abs() < resolution)
+        };
+        let lines = base_motion::base_motions(&record, &operating_point.load, &record.centred_all(record.tau.clone()));
+        drop(record);
+        for line in lines.into_iter().filter(known) {
+            take_off(experiment, &line, operating_point);
+        }
+    }
+}
+
+fn take_off(experiment: &mut Experiment, line: &BaseMotion, operating_point: &OperatingPoint) {
+    let of_periods = line.of_periods(experiment, &operating_point.load);
+    of_periods.inspect(|torque| experiment.take_off_deviations(torque));
+    experiment.take_off(&line.of_mean(experiment, &operating_point.load));
+}
+
 /// What the lines of a run do to its periods, P N x n at its samples \[Nm\]; `None` where it has none.
 fn lines_of(found: &Changing, experiment: &Experiment, operating_point: &OperatingPoint) -> Option<DMatrix<f64>> {
     let own = found.base_motions.iter().filter(|line| line.run == experiment.name);
@@ -325,11 +347,9 @@ pub fn cleaned(experiments: &mut [Experiment], found: &Changing, operating_point
         return;
     }
     for (experiment, scatter) in experiments.iter_mut().zip(&found.scatter) {
-        let lines = lines_of(found, experiment, operating_point);
-        lines.inspect(|torque| experiment.take_off_deviations(torque));
         for line in &found.base_motions {
             if line.run == experiment.name {
-                experiment.take_off(&line.of_mean(experiment, &operating_point.load));
+                take_off(experiment, line, operating_point);
             }
         }
         // Where a contact is left out it has no part in the mean, and nothing is taken off.
