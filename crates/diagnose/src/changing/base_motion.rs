@@ -56,7 +56,7 @@ pub struct BaseMotion {
 }
 
 impl BaseMotion {
-    /// What it does to the periods of its run along their mean motion, each at the samples of [`Repeats`], P N x n \[Nm\]; `None` without repeats.
+    /// What it does to the periods of its run along their mean motion, each at the samples of `Repeats`, P N x n \[Nm\]; `None` without repeats.
     pub(super) fn of_periods(&self, experiment: &Experiment, load: &Load) -> Option<DMatrix<f64>> {
         let (motion, repeats) = (&experiment.motion, experiment.repeats.as_ref()?);
         let (samples, gravity) = (motion.samples(), gravity_columns(motion, load));
