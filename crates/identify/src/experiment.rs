@@ -327,6 +327,7 @@ impl Experiment {
     /// Subtracts what came once from the mean torques, N x n \[Nm\].
     pub fn take_off(&mut self, torque: &DMatrix<f64>) {
         self.tau -= torque;
+        self.repeats.iter_mut().for_each(|repeats| repeats.mean -= torque);
     }
 
     /// Subtracts the torque of a drift from the mean torques, N x n \[Nm\].

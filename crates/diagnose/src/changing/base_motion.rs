@@ -27,6 +27,8 @@ const MAX_LINES: usize = 4;
 const SMOOTHING_RATIO: f64 = 1.3;
 /// A line explains at least this share of what its joints do at its frequency beyond their noise.
 const MIN_EXPLAINED_RATIO: f64 = 0.5;
+/// Least squares in units of the noise that a known line takes in another run: of six parameters noise alone takes 22 in one of a thousand.
+const MIN_KNOWN_GAIN: f64 = 22.0;
 /// Evaluations of the search for a frequency.
 const MAX_EVALUATIONS: usize = 16;
 
@@ -93,6 +95,18 @@ pub(super) fn base_motions(record: &Record, load: &Load, rest: &DMatrix<f64>) ->
         found.push(one);
     }
     found
+}
+
+/// A line of another run in this one, within a resolution of its frequency \[Hz\]; `None` where it is not significant.
+pub(super) fn known(record: &Record, load: &Load, frequency: f64) -> Option<BaseMotion> {
+    let gravity = gravity_columns(&record.motion, load);
+    let (rest, mean) = (record.centred_all(record.tau.clone()), blocks(&record.repeats.mean, record.step));
+    let (noise, noise_of_mean) = (Noise::of(&rest, record, record.periods() - 1), Noise::of(&mean, record, 1));
+    let line =
+        Line { record, gravity: &gravity, rest: &rest, mean: &mean, noise: &noise, noise_of_mean: &noise_of_mean };
+    let frequency = line.peak(frequency, 1.0 / (record.tau.nrows() as f64 * record.dt));
+    let fitted = line.fit(frequency).filter(|fitted| fitted.gain > MIN_KNOWN_GAIN)?;
+    fitted.report(&line, frequency, f64::NAN)
 }
 
 /// What these lines do to the deviations of their run, P N x n \[Nm\].

@@ -202,11 +202,16 @@ impl Changing {
     }
 }
 
+/// Whether lines of two runs are one.
+pub(super) fn is_same_line(one: &BaseMotion, other: &BaseMotion) -> bool {
+    (one.frequency - other.frequency).abs() < SAME_LINE_HZ
+}
+
 /// Lines by frequency: the strongest of each, and the number of runs that have it.
 fn lines(found: &[BaseMotion]) -> Vec<(&BaseMotion, usize)> {
     let mut lines: Vec<(&BaseMotion, Vec<&str>)> = Vec::new();
     for one in found {
-        match lines.iter_mut().find(|(line, _)| (line.frequency - one.frequency).abs() < SAME_LINE_HZ) {
+        match lines.iter_mut().find(|(line, _)| is_same_line(line, one)) {
             Some((line, runs)) => {
                 if !runs.contains(&one.run.as_str()) {
                     runs.push(&one.run);

@@ -306,18 +306,15 @@ fn merged(mut stretches: Vec<ExcludedSpan>) -> Vec<ExcludedSpan> {
     out
 }
 
-/// Takes base motions off unseen runs that have those of the identified runs, too: they are no difference between the runs.
+/// Takes the base motions of the identified runs off unseen runs that have them, too: they are no difference between the runs.
 pub fn without_base_motions(unseen: &mut [Experiment], found: &Changing, operating_point: &OperatingPoint) {
-    for experiment in unseen.iter_mut().filter(|_| !found.base_motions.is_empty()) {
-        let Some(record) = Record::of(experiment, 0.0) else { continue };
-        let resolution = 1.0 / (record.tau.nrows() as f64 * record.dt);
-        let known = |line: &BaseMotion| {
-            found.base_motions.iter().any(|known| (known.frequency - line.frequency).abs() < resolution)
-        };
-        let lines = base_motion::base_motions(&record, &operating_point.load, &record.centred_all(record.tau.clone()));
-        drop(record);
-        for line in lines.into_iter().filter(known) {
-            take_off(experiment, &line, operating_point);
+    let mut lines: Vec<&BaseMotion> = found.base_motions.iter().collect();
+    lines.dedup_by(|one, other| effects::is_same_line(one, other));
+    for experiment in unseen {
+        for line in &lines {
+            let record = Record::of(experiment, 0.0);
+            let own = record.and_then(|record| base_motion::known(&record, &operating_point.load, line.frequency));
+            own.inspect(|own| take_off(experiment, own, operating_point));
         }
     }
 }
