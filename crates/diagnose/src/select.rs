@@ -313,17 +313,19 @@ impl<'a> Search<'a> {
         let folds = gates::folds(&self.problem, state, &one.tried);
         let blocks = self.evidence().folds().len();
         let hold = |penalty: f64| folds.hold(blocks, penalty, self.least_share_left_out(&one.item));
+        // The dispersion is 1 or more, and expensive.
         folds.confirm() != Some(false)
             && (self.evidence().repeats() || hold(one.penalty) && hold(one.penalty * self.dispersion(state, one)))
     }
 
-    /// [`gates::dispersion`] of what acts in a part of the recording: nowhere else slow noise has the shape of what a candidate does.
+    /// [`gates::dispersion`] of what acts in a part of the recording; 1 for all else.
     fn dispersion(&self, state: &State, one: &Scored) -> f64 {
-        let everywhere = Candidate::sketch(self.evidence(), self.operating_point, one.item.spec.clone(), Span::ALL);
-        match everywhere.filter(|_| !one.item.span.is_all()) {
-            Some(everywhere) => gates::dispersion(&self.problem, state, &one.tried, &one.item, &everywhere.rows),
-            None => 1.0,
+        if one.item.span.is_all() {
+            return 1.0;
         }
+        let everywhere = Candidate::sketch(self.evidence(), self.operating_point, one.item.spec.clone(), Span::ALL);
+        everywhere
+            .map_or(1.0, |everywhere| gates::dispersion(&self.problem, state, &one.tried, &one.item, &everywhere.rows))
     }
 
     /// Share of a joint's mean square on blocks left out that a candidate has to take where the noise is unknown.

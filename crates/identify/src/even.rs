@@ -142,11 +142,9 @@ impl Even {
         let gone: Vec<usize> = gone.map(|(k, _)| k).collect();
         for k in gone.into_iter().rev() {
             rest = rest.remove_rows(k * samples, samples);
-            filled.drain(k * samples..(k + 1) * samples);
-            left_out.drain(k * samples..(k + 1) * samples);
-            unusable.drain(k * samples..(k + 1) * samples);
-            lost.drain(k * samples..(k + 1) * samples);
-            no_deviation.drain(k * samples..(k + 1) * samples);
+            for rows in [&mut filled, &mut left_out, &mut unusable, &mut lost, &mut no_deviation] {
+                rows.drain(k * samples..(k + 1) * samples);
+            }
             periods.remove(k);
         }
         if periods.is_empty() {

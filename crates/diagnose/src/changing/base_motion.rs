@@ -101,9 +101,7 @@ pub(super) fn base_motions(record: &Record, load: &Load, rest: &DMatrix<f64>) ->
 pub(super) fn known(record: &Record, load: &Load, frequency: f64) -> Option<BaseMotion> {
     let gravity = gravity_columns(&record.motion, load);
     let (rest, mean) = (record.centred_all(record.tau.clone()), blocks(&record.repeats.mean, record.step));
-    let (noise, noise_of_mean) = (Noise::of(&rest, record, record.periods() - 1), Noise::of(&mean, record, 1));
-    let line =
-        Line { record, gravity: &gravity, rest: &rest, mean: &mean, noise: &noise, noise_of_mean: &noise_of_mean };
+    let line = Line::of(record, &gravity, &rest, &mean);
     let frequency = line.peak(frequency, 1.0 / (record.tau.nrows() as f64 * record.dt));
     let fitted = line.fit(frequency).filter(|fitted| fitted.gain > MIN_KNOWN_GAIN)?;
     fitted.report(&line, frequency, f64::NAN)
@@ -159,7 +157,7 @@ fn strongest(
         (0..joints).map(|j| unrolled(record, &rest.column(j).iter().copied().collect::<Vec<_>>())).collect();
     let length = per_joint.first()?.len();
     let spectral = Spectral::new(length, record.dt);
-    let (noise, noise_of_mean) = (Noise::of(rest, record, record.periods() - 1), Noise::of(mean, record, 1));
+    let line = Line::of(record, gravity, rest, mean);
     // Spectra of deviation times column, and how strong the columns are.
     let mut spectra: Vec<[Vec<Complex<f64>>; 3]> = Vec::new();
     let mut strength: Vec<Matrix3<f64>> = Vec::new();
@@ -178,7 +176,7 @@ fn strongest(
         .map(|bin| {
             let (mut b, mut a) = (Vector3::<Complex<f64>>::zeros(), Matrix3::zeros());
             for (joint, spectra) in spectra.iter().enumerate() {
-                let weight = 1.0 / noise.at(joint, spectral.frequency(bin));
+                let weight = 1.0 / line.noise.at(joint, spectral.frequency(bin));
                 for (c, spectrum) in spectra.iter().enumerate() {
                     b[c] += spectrum[bin] * weight;
                 }
@@ -204,7 +202,6 @@ fn strongest(
     let mut strong: Vec<(usize, f64)> = lines.filter(|(_, ratio)| *ratio > MIN_LINE_POWER_RATIO).collect();
     strong.sort_by(|a, b| power[b.0].1.total_cmp(&power[a.0].1));
     strong.into_iter().take(MAX_LINES).find_map(|(k, ratio)| {
-        let line = Line { record, gravity, rest, mean, noise: &noise, noise_of_mean: &noise_of_mean };
         let width = 1.0 / (length as f64 * record.dt);
         let frequency = line.peak(spectral.frequency(power[k].0), width);
         Some(line.fit(frequency)?.report(&line, frequency, ratio)?)
@@ -260,9 +257,9 @@ struct Line<'a> {
     rest: &'a DMatrix<f64>,
     /// Mean torques less those of the plain model, N x n.
     mean: &'a DMatrix<f64>,
-    noise: &'a Noise,
+    noise: Noise,
     /// The same of `mean`; what the model lacks counts as noise there.
-    noise_of_mean: &'a Noise,
+    noise_of_mean: Noise,
 }
 
 /// Cosine and sine of the acceleration, with what they explain.
@@ -273,7 +270,12 @@ struct Fitted {
     gain: f64,
 }
 
-impl Line<'_> {
+impl<'a> Line<'a> {
+    fn of(record: &'a Record, gravity: &'a [DMatrix<f64>], rest: &'a DMatrix<f64>, mean: &'a DMatrix<f64>) -> Line<'a> {
+        let (noise, noise_of_mean) = (Noise::of(rest, record, record.periods() - 1), Noise::of(mean, record, 1));
+        Line { record, gravity, rest, mean, noise, noise_of_mean }
+    }
+
     /// The frequency near one where most is explained.
     fn peak(&self, frequency: f64, width: f64) -> f64 {
         let ratio = (5.0_f64.sqrt() - 1.0) / 2.0;

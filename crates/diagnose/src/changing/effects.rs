@@ -20,19 +20,17 @@ impl Changing {
     pub fn add_to(&self, diagnosis: &mut Diagnosis, least_floor: f64, threshold: Option<f64>) {
         let contacts: Vec<&Contact> = self.contacts.iter().filter(|contact| !self.dates(contact, diagnosis)).collect();
         let joints = &diagnosis.joints;
-        let matters = |rms: &[f64]| {
+        let matters_above = |rms: &[f64], floor: fn(&JointFacts) -> Option<f64>| {
             let enough = |(rms, facts): (&f64, &JointFacts)| {
-                let least = threshold.or(facts.floor_of_mean.map(|floor| least_floor * floor));
+                let least = threshold.or(floor(facts).map(|floor| least_floor * floor));
                 least.is_none_or(|least| *rms >= least)
             };
             rms.iter().zip(joints).any(enough)
         };
+        let matters = |rms: &[f64]| matters_above(rms, |facts| facts.floor_of_mean);
         // Coarse encoders have noise at higher frequencies that would hide what spoils slow motion.
         let matters_below = |line: &BaseMotion| {
-            let enough = |(rms, facts): (&f64, &JointFacts)| {
-                threshold.is_none() && facts.floor_of_period.is_some_and(|floor| *rms >= least_floor * floor)
-            };
-            line.frequency <= BAND_EDGES_HZ[LOW_BANDS - 1] && line.rms.iter().zip(joints).any(enough)
+            line.frequency <= BAND_EDGES_HZ[LOW_BANDS - 1] && matters_above(&line.rms, |facts| facts.floor_of_period)
         };
         let lines = lines(&self.base_motions);
         let significant = !contacts.is_empty()
@@ -202,16 +200,11 @@ impl Changing {
     }
 }
 
-/// Whether lines of two runs are one.
-pub(super) fn is_same_line(one: &BaseMotion, other: &BaseMotion) -> bool {
-    (one.frequency - other.frequency).abs() < SAME_LINE_HZ
-}
-
 /// Lines by frequency: the strongest of each, and the number of runs that have it.
-fn lines(found: &[BaseMotion]) -> Vec<(&BaseMotion, usize)> {
+pub(super) fn lines(found: &[BaseMotion]) -> Vec<(&BaseMotion, usize)> {
     let mut lines: Vec<(&BaseMotion, Vec<&str>)> = Vec::new();
     for one in found {
-        match lines.iter_mut().find(|(line, _)| is_same_line(line, one)) {
+        match lines.iter_mut().find(|(line, _)| (line.frequency - one.frequency).abs() < SAME_LINE_HZ) {
             Some((line, runs)) => {
                 if !runs.contains(&one.run.as_str()) {
                     runs.push(&one.run);

@@ -308,10 +308,9 @@ fn merged(mut stretches: Vec<ExcludedSpan>) -> Vec<ExcludedSpan> {
 
 /// Takes the base motions of the identified runs off unseen runs that have them, too: they are no difference between the runs.
 pub fn without_base_motions(unseen: &mut [Experiment], found: &Changing, operating_point: &OperatingPoint) {
-    let mut lines: Vec<&BaseMotion> = found.base_motions.iter().collect();
-    lines.dedup_by(|one, other| effects::is_same_line(one, other));
+    let lines = effects::lines(&found.base_motions);
     for experiment in unseen {
-        for line in &lines {
+        for (line, _) in &lines {
             let record = Record::of(experiment, 0.0);
             let own = record.and_then(|record| base_motion::known(&record, &operating_point.load, line.frequency));
             own.inspect(|own| take_off(experiment, own, operating_point));
@@ -331,8 +330,8 @@ fn lines_of(found: &Changing, experiment: &Experiment, operating_point: &Operati
     own.filter_map(|line| line.of_periods(experiment, &operating_point.load)).reduce(|sum, one| sum + one)
 }
 
-/// Takes base motions, contacts and steps off experiments, whose noise spectrum is that of [`Changing::scatter`] then. They may have fewer periods by now than those that
-/// were looked at.
+/// Takes base motions, contacts and steps off experiments, whose noise spectrum is that of [`Changing::scatter`] then. They may have fewer periods by
+/// now than those that were looked at.
 pub fn cleaned(experiments: &mut [Experiment], found: &Changing, operating_point: &OperatingPoint) {
     // Single samples that are off hardly count in the noise.
     if found.drifts.is_empty()
