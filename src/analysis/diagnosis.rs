@@ -5,7 +5,9 @@ use crate::analysis::pipeline::{self, Identified};
 use crate::dataset::Run;
 use crate::failure::Failure;
 use crate::process::progress::{self, Bar};
-use plumbline_diagnose::changing::{Changing, changing, cleaned, until_the_end, without_base_motions};
+use plumbline_diagnose::changing::{
+    Changing, add_base_motions_once, changing, cleaned, until_the_end, without_base_motions,
+};
 use plumbline_diagnose::errors::Of;
 use plumbline_diagnose::figures::Curves;
 use plumbline_diagnose::outcome::Changes;
@@ -203,19 +205,18 @@ fn prepared(question: &Question) -> Result<(Vec<Experiment>, Changing, Vec<Exper
     let mut unseen = pipeline::experiments(question.unseen, &settings)?;
     let repeat = |experiment: &Experiment| experiment.repeats.is_some();
     let mut found = Changing::default();
-    let repeating = experiments.iter().chain(&unseen).any(repeat);
-    let mut plain = repeating.then(|| identified(question.structure, &experiments)).transpose()?;
-    if let Some(plain) = &mut plain {
+    let mut plain = identified(question.structure, &experiments)?;
+    if experiments.iter().chain(&unseen).any(repeat) {
         experiments.iter_mut().chain(&mut unseen).for_each(|one| one.follow_own_motion(|motion| plain.predict(motion)));
-        found = changed(question, plain, &experiments);
+        found = changed(question, &plain, &experiments);
         let without = found.before_steps(&trials(&experiments, question.identify));
         if !without.is_empty() {
             // What came is in the model of all runs in part, and the arm gave way as it came: both are judged again by the arm as it was before.
             let before = identified(question.structure, &without)?;
             let difference = |motion: &Motion| before.predict(motion) - plain.predict(motion);
             experiments.iter_mut().for_each(|experiment| experiment.follow_own_motion(difference));
-            *plain = before;
-            found = changed(question, plain, &experiments);
+            plain = before;
+            found = changed(question, &plain, &experiments);
         }
         if !found.leave_out.is_empty() {
             let leave_out = settings.leave_out.iter().chain(&found.leave_out).cloned().collect();
@@ -224,17 +225,14 @@ fn prepared(question: &Question) -> Result<(Vec<Experiment>, Changing, Vec<Exper
             experiments.iter_mut().for_each(|one| one.follow_own_motion(|motion| plain.predict(motion)));
         }
     }
-    if let Some(plain) = &plain {
-        let operating_point = question.structure.operating_point(&plain.beta());
-        cleaned(&mut experiments, &found, &operating_point);
-        without_base_motions(&mut unseen, &found, &operating_point);
-        let drifts = until_the_end(&found, &operating_point, &trials(&experiments, question.identify));
-        experiments.iter_mut().zip(drifts.into_iter().flatten()).for_each(|(one, torque)| one.take_off_drift(torque));
-    }
-    if let Some(plain) = &plain {
-        let predict = |motion: &Motion| plain.predict(motion);
-        experiments.iter_mut().chain(&mut unseen).for_each(|experiment| experiment.add_resolution(predict));
-    }
+    let operating_point = question.structure.operating_point(&plain.beta());
+    let predict = |motion: &Motion| plain.predict(motion);
+    add_base_motions_once(&mut found, &trials(&experiments, question.identify), &operating_point, predict);
+    cleaned(&mut experiments, &found, &operating_point);
+    without_base_motions(&mut unseen, &found, &operating_point, predict);
+    let drifts = until_the_end(&found, &operating_point, &trials(&experiments, question.identify));
+    experiments.iter_mut().zip(drifts.into_iter().flatten()).for_each(|(one, torque)| one.take_off_drift(torque));
+    experiments.iter_mut().chain(&mut unseen).for_each(|experiment| experiment.add_resolution(predict));
     if !question.options.estimator.needs_periods() {
         experiments.iter_mut().chain(&mut unseen).for_each(|experiment| experiment.repeats = None);
     }

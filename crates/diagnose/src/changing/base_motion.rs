@@ -5,7 +5,7 @@
 //! A line in the spectrum of the whole recording that is coherent through these columns is a base motion; its frequency is no multiple of
 //! that of the motion, or every period would repeat it.
 
-use super::record::{Record, blocks, mean_of_periods, median};
+use super::record::{Record, blocks, max_step, median, on_grid};
 use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 use plumbline_core::symmetric_eigen;
 use plumbline_identify::Experiment;
@@ -82,37 +82,35 @@ impl BaseMotion {
     }
 }
 
-/// The lines of one run, the strongest first. `rest` are its centred deviations, P N x n.
+/// The lines of one run that repeats, the strongest first. `rest` are its centred deviations, P N x n.
 pub(super) fn base_motions(record: &Record, load: &Load, rest: &DMatrix<f64>) -> Vec<BaseMotion> {
-    let gravity = gravity_columns(&record.motion, load);
-    let (mut rest, mut mean) = (rest.clone(), blocks(&record.repeats.mean, record.step));
-    let mut found: Vec<BaseMotion> = Vec::new();
-    while found.len() < MAX_LINES {
-        let Some(one) = strongest(record, &gravity, &rest, &mean) else { break };
-        let torque = torque(record, &gravity, &one);
-        mean -= mean_of_periods(&torque, &record.uncounted, record.samples);
-        rest -= record.centred_all(torque);
-        found.push(one);
-    }
-    found
+    Line::of(record, load, rest.clone()).strongest_first()
 }
 
-/// A line of another run in this one, within a resolution of its frequency \[Hz\]; `None` where it is not significant.
-pub(super) fn known(record: &Record, load: &Load, frequency: f64) -> Option<BaseMotion> {
-    let gravity = gravity_columns(&record.motion, load);
-    let (rest, mean) = (record.centred_all(record.tau.clone()), blocks(&record.repeats.mean, record.step));
-    let line = Line::of(record, &gravity, &rest, &mean);
-    let frequency = line.peak(frequency, 1.0 / (record.tau.nrows() as f64 * record.dt));
+/// The lines of a run without repeats, the strongest first, by what the plain model leaves there, N x n \[Nm\]. Each half of the run has them.
+pub(super) fn base_motions_once(experiment: &Experiment, load: &Load, left: &DMatrix<f64>) -> Vec<BaseMotion> {
+    Line::once(experiment, load, left).strongest_first()
+}
+
+/// A line of another run in this one, within a resolution of its frequency \[Hz\]; `None` where it is not significant. `left` is what the plain model
+/// leaves of its torques; a run that repeats has that itself.
+pub(super) fn known(experiment: &Experiment, load: &Load, left: &DMatrix<f64>, frequency: f64) -> Option<BaseMotion> {
+    let record = Record::of(experiment, 0.0);
+    let line = match &record {
+        Some(record) => Line::of(record, load, record.centred_all(record.tau.clone())),
+        None => Line::once(experiment, load, left),
+    };
+    let frequency = line.peak(frequency, line.parts[0].width());
     let fitted = line.fit(frequency).filter(|fitted| fitted.gain > MIN_KNOWN_GAIN)?;
-    fitted.report(&line, frequency, f64::NAN)
+    fitted.report(line.run, &line.parts[0], frequency, f64::NAN)
 }
 
 /// What these lines do to the deviations of their run, P N x n \[Nm\].
 pub(super) fn torques(record: &Record, load: &Load, lines: &[BaseMotion]) -> DMatrix<f64> {
     let mut sum = DMatrix::zeros(record.tau.nrows(), record.joints());
     if !lines.is_empty() {
-        let gravity = gravity_columns(&record.motion, load);
-        lines.iter().for_each(|line| sum += torque(record, &gravity, line));
+        let part = Line::of(record, load, sum.clone()).parts.remove(0);
+        lines.iter().for_each(|line| sum += part.of_line(line));
     }
     record.centred_all(sum)
 }
@@ -134,81 +132,6 @@ pub(super) fn gravity_columns(motion: &Motion, load: &Load) -> Vec<DMatrix<f64>>
     columns
 }
 
-/// The recording in time: a period that was left out is nothing.
-fn unrolled(record: &Record, x: &[f64]) -> Vec<f64> {
-    let periods = &record.repeats.periods;
-    let first = periods.first().copied().unwrap_or(0);
-    let count = periods.last().map_or(0, |last| last + 1 - first);
-    let mut out = vec![0.0; count * record.samples];
-    for (period, values) in periods.iter().zip(x.chunks(record.samples)) {
-        out[(period - first) * record.samples..][..record.samples].copy_from_slice(values);
-    }
-    out
-}
-
-fn strongest(
-    record: &Record,
-    gravity: &[DMatrix<f64>],
-    rest: &DMatrix<f64>,
-    mean: &DMatrix<f64>,
-) -> Option<BaseMotion> {
-    let joints = record.joints();
-    let per_joint: Vec<Vec<f64>> =
-        (0..joints).map(|j| unrolled(record, &rest.column(j).iter().copied().collect::<Vec<_>>())).collect();
-    let length = per_joint.first()?.len();
-    let spectral = Spectral::new(length, record.dt);
-    let line = Line::of(record, gravity, rest, mean);
-    // Spectra of deviation times column, and how strong the columns are.
-    let mut spectra: Vec<[Vec<Complex<f64>>; 3]> = Vec::new();
-    let mut strength: Vec<Matrix3<f64>> = Vec::new();
-    for (x, g) in per_joint.iter().zip(gravity) {
-        let times = |c: usize| {
-            let product: Vec<f64> = x.iter().enumerate().map(|(row, x)| x * g[(row % record.samples, c)]).collect();
-            spectral.transform(&product)
-        };
-        spectra.push([times(0), times(1), times(2)]);
-        let square = g.tr_mul(g) * (rest.nrows() / record.samples) as f64 / 2.0;
-        strength.push(square.fixed_view::<3, 3>(0, 0).into_owned());
-    }
-    let highest = BAND_HZ.1.min(0.4 / record.dt);
-    let bins = (0..spectral.bins()).filter(|&bin| (BAND_HZ.0..=highest).contains(&spectral.frequency(bin)));
-    let power: Vec<(usize, f64)> = bins
-        .map(|bin| {
-            let (mut b, mut a) = (Vector3::<Complex<f64>>::zeros(), Matrix3::zeros());
-            for (joint, spectra) in spectra.iter().enumerate() {
-                let weight = 1.0 / line.noise.at(joint, spectral.frequency(bin));
-                for (c, spectrum) in spectra.iter().enumerate() {
-                    b[c] += spectrum[bin] * weight;
-                }
-                a += strength[joint] * weight;
-            }
-            let inverse = weak_inverse(&a);
-            let part = |x: Vector3<f64>| x.dot(&(inverse * x));
-            (bin, part(b.map(|value| value.re)) + part(b.map(|value| value.im)))
-        })
-        .collect();
-    // What repeats in every period is no deviation: nothing is left at the harmonics of the motion, and they tell nothing of the noise.
-    let own = 1.0 / (record.samples as f64 * record.dt);
-    let harmonic =
-        |frequency: f64| (frequency / own - (frequency / own).round()).abs() * own < 0.5 / (length as f64 * record.dt);
-    let power: Vec<(usize, f64)> = power.into_iter().filter(|(bin, _)| !harmonic(spectral.frequency(*bin))).collect();
-    let near = (NEIGHBOURS_HZ * length as f64 * record.dt).round().max(8.0) as usize;
-    let ratio = |k: usize| {
-        let around = k.saturating_sub(near)..(k + near + 1).min(power.len());
-        let mut others: Vec<f64> = around.map(|other| power[other].1).collect();
-        power[k].1 / median(&mut others).max(f64::MIN_POSITIVE)
-    };
-    let lines = (0..power.len()).map(|k| (k, ratio(k)));
-    let mut strong: Vec<(usize, f64)> = lines.filter(|(_, ratio)| *ratio > MIN_LINE_POWER_RATIO).collect();
-    strong.sort_by(|a, b| power[b.0].1.total_cmp(&power[a.0].1));
-    strong.into_iter().take(MAX_LINES).find_map(|(k, ratio)| {
-        let width = 1.0 / (length as f64 * record.dt);
-        let frequency = line.peak(spectral.frequency(power[k].0), width);
-        Some(line.fit(frequency)?.report(&line, frequency, ratio)?)
-            .filter(|found| found.explained > MIN_EXPLAINED_RATIO)
-    })
-}
-
 /// Power of each joint's noise over frequency, of a single sample \[Nm2\].
 struct Noise {
     power: DMatrix<f64>,
@@ -216,13 +139,14 @@ struct Noise {
 }
 
 impl Noise {
-    /// Of periods below each other that have so many degrees of freedom together.
-    fn of(x: &DMatrix<f64>, record: &Record, freedom: usize) -> Noise {
-        let spectral = Spectral::new(record.samples, record.dt);
+    /// Of centred periods of so many samples below each other, or of one course.
+    fn of(x: &DMatrix<f64>, samples: usize, dt: f64) -> Noise {
+        let spectral = Spectral::new(samples, dt);
         let mut power = DMatrix::zeros(spectral.bins(), x.ncols());
-        let scale = 1.0 / (record.samples * freedom.max(1)) as f64;
+        let freedom = (x.nrows() / samples - 1).max(1);
+        let scale = 1.0 / (samples * freedom) as f64;
         for (joint, column) in x.column_iter().enumerate() {
-            for period in column.iter().copied().collect::<Vec<_>>().chunks(record.samples) {
+            for period in column.iter().copied().collect::<Vec<_>>().chunks(samples) {
                 for (bin, value) in spectral.transform(period).iter().enumerate() {
                     power[(bin, joint)] += scale * value.norm_sqr();
                 }
@@ -250,16 +174,203 @@ fn weak_inverse(a: &Matrix3<f64>) -> Matrix3<f64> {
     eigen.eigenvectors * Matrix3::from_diagonal(&values) * eigen.eigenvectors.transpose()
 }
 
+/// Torques in which a line is sought.
+struct Part<'a> {
+    rows: Rows<'a>,
+    /// Gravity columns of one period on the grid, N x 3 for each joint.
+    gravity: Vec<DMatrix<f64>>,
+    /// Rows x n \[Nm\].
+    torque: DMatrix<f64>,
+    noise: Noise,
+    /// Samples of the full rate in one of the grid.
+    step: usize,
+    /// Time between samples of the grid \[s\].
+    dt: f64,
+}
+
+/// What the rows of a part are.
+enum Rows<'a> {
+    /// The centred deviations of the periods, P N.
+    Deviations(&'a Record<'a>),
+    /// The mean over the periods, or the only course, N. What the model lacks counts as noise there.
+    Mean(&'a Experiment),
+}
+
+impl<'a> Part<'a> {
+    fn new(rows: Rows<'a>, gravity: Vec<DMatrix<f64>>, torque: DMatrix<f64>, step: usize, dt: f64) -> Part<'a> {
+        let noise = Noise::of(&torque, gravity[0].nrows(), dt);
+        Part { rows, gravity, torque, noise, step, dt }
+    }
+
+    /// Samples of a period on the grid.
+    fn samples(&self) -> usize {
+        self.gravity[0].nrows()
+    }
+
+    /// A signal in time: a period that was left out is nothing.
+    fn unrolled(&self, x: &[f64]) -> Vec<f64> {
+        let Rows::Deviations(record) = &self.rows else { return x.to_vec() };
+        let periods = &record.repeats.periods;
+        let first = periods.first().copied().unwrap_or(0);
+        let count = periods.last().map_or(0, |last| last + 1 - first);
+        let mut out = vec![0.0; count * record.samples];
+        for (period, values) in periods.iter().zip(x.chunks(record.samples)) {
+            out[(period - first) * record.samples..][..record.samples].copy_from_slice(values);
+        }
+        out
+    }
+
+    /// Samples of [`Part::unrolled`].
+    fn length(&self) -> usize {
+        self.unrolled(self.torque.column(0).as_slice()).len()
+    }
+
+    /// Resolution of a frequency \[Hz\].
+    fn width(&self) -> f64 {
+        1.0 / (self.length() as f64 * self.dt)
+    }
+
+    /// Whether nothing of a frequency can be left: what repeats in every period is no deviation, and a harmonic of the motion tells nothing of the noise.
+    fn hides(&self, frequency: f64) -> bool {
+        let own = 1.0 / (self.samples() as f64 * self.dt);
+        let away = (frequency / own - (frequency / own).round()).abs() * own;
+        matches!(self.rows, Rows::Deviations(_)) && away < 0.5 * self.width()
+    }
+
+    /// Cosine and sine of a frequency at the rows.
+    fn wave(&self, frequency: f64) -> [Vec<f64>; 2] {
+        let angle = |t: f64| TAU * frequency * t;
+        let means =
+            |x: Vec<f64>| x.chunks_exact(self.step).map(|own| own.iter().sum::<f64>() / self.step as f64).collect();
+        match &self.rows {
+            Rows::Mean(experiment) => {
+                let of = |function: fn(f64) -> f64| means(experiment.timeline.mean_of(|t| function(angle(t))));
+                [of(f64::cos), of(f64::sin)]
+            }
+            Rows::Deviations(record) => {
+                // Samples of the grid are means over a block.
+                let half = PI * frequency * self.dt;
+                let block = if self.step > 1 { half.sin() / half } else { 1.0 };
+                let rows = 0..self.torque.nrows();
+                let of = |function: fn(f64) -> f64| {
+                    rows.clone().map(|row| block * function(angle(record.time(row)))).collect()
+                };
+                [of(f64::cos), of(f64::sin)]
+            }
+        }
+    }
+
+    /// A joint's columns times cosine, then times sine, rows x 6.
+    fn columns(&self, joint: usize, wave: &[Vec<f64>; 2]) -> DMatrix<f64> {
+        let gravity = &self.gravity[joint];
+        DMatrix::from_fn(self.torque.nrows(), 6, |row, k| gravity[(row % gravity.nrows(), k % 3)] * wave[k / 3][row])
+    }
+
+    /// Torque of a line at the rows, rows x n, not centred \[Nm\].
+    fn of_line(&self, line: &BaseMotion) -> DMatrix<f64> {
+        let theta = DVector::from_iterator(6, line.cosine.iter().chain(line.sine.iter()).copied());
+        let wave = self.wave(line.frequency);
+        let of_joint = |joint| self.columns(joint, &wave) * &theta;
+        DMatrix::from_columns(&(0..self.gravity.len()).map(of_joint).collect::<Vec<DVector<f64>>>())
+    }
+
+    fn centred(&self, x: DMatrix<f64>) -> DMatrix<f64> {
+        match &self.rows {
+            Rows::Deviations(record) => record.centred_all(x),
+            Rows::Mean(_) => x,
+        }
+    }
+
+    /// Power that three columns explain at each frequency of the band, in units of the noise.
+    fn spectrum(&self) -> Vec<(f64, f64)> {
+        let spectral = Spectral::new(self.length(), self.dt);
+        // Spectra of torque times column, and how strong the columns are.
+        let mut spectra: Vec<[Vec<Complex<f64>>; 3]> = Vec::new();
+        let mut strength: Vec<Matrix3<f64>> = Vec::new();
+        for (x, gravity) in self.torque.column_iter().zip(&self.gravity) {
+            let times = |c: usize| {
+                let product = x.iter().enumerate().map(|(row, x)| x * gravity[(row % gravity.nrows(), c)]);
+                spectral.transform(&self.unrolled(&product.collect::<Vec<f64>>()))
+            };
+            spectra.push([times(0), times(1), times(2)]);
+            let square = gravity.tr_mul(gravity) * (self.torque.nrows() / gravity.nrows()) as f64 / 2.0;
+            strength.push(square.fixed_view::<3, 3>(0, 0).into_owned());
+        }
+        let highest = BAND_HZ.1.min(0.4 / self.dt);
+        let sought = |frequency: f64| (BAND_HZ.0..=highest).contains(&frequency) && !self.hides(frequency);
+        let bins = (0..spectral.bins()).filter(|&bin| sought(spectral.frequency(bin)));
+        bins.map(|bin| {
+            let frequency = spectral.frequency(bin);
+            let (mut b, mut a) = (Vector3::<Complex<f64>>::zeros(), Matrix3::zeros());
+            for (joint, spectra) in spectra.iter().enumerate() {
+                let weight = 1.0 / self.noise.at(joint, frequency);
+                for (c, spectrum) in spectra.iter().enumerate() {
+                    b[c] += spectrum[bin] * weight;
+                }
+                a += strength[joint] * weight;
+            }
+            let inverse = weak_inverse(&a);
+            let part = |x: Vector3<f64>| x.dot(&(inverse * x));
+            (frequency, part(b.map(|value| value.re)) + part(b.map(|value| value.im)))
+        })
+        .collect()
+    }
+
+    /// Adds the normal equations of some rows.
+    fn add_to(&self, normal: &mut Normal, frequency: f64, counts: impl Fn(usize) -> bool) {
+        let mut wave = self.wave(frequency);
+        for values in &mut wave {
+            values.iter_mut().enumerate().filter(|(row, _)| !counts(*row)).for_each(|(_, value)| *value = 0.0);
+        }
+        for (joint, torque) in self.torque.column_iter().enumerate() {
+            let weight = 1.0 / self.noise.at(joint, frequency);
+            let x = self.centred(self.columns(joint, &wave));
+            normal.g += x.tr_mul(&x) * weight;
+            normal.b += x.tr_mul(&torque) * weight;
+        }
+    }
+
+    /// Whether what is fitted to one half holds in the other, and the other way round. What the model lacks of a motion has lines, too, but none that
+    /// goes on.
+    fn goes_on(&self, frequency: f64) -> bool {
+        let rows = self.torque.nrows();
+        let halves = [0..rows / 2, rows / 2..rows].map(|half| {
+            let mut normal = Normal::default();
+            self.add_to(&mut normal, frequency, |row| half.contains(&row));
+            normal
+        });
+        let [Some(first), Some(second)] = halves.clone().map(Normal::solved) else { return false };
+        let holds = |half: &Normal, own: &Fitted, other: &Fitted| {
+            own.gain > MIN_KNOWN_GAIN && half.gain(&other.theta) > MIN_EXPLAINED_RATIO * own.gain
+        };
+        holds(&halves[0], &first, &second) && holds(&halves[1], &second, &first)
+    }
+
+    /// Share of the squares near a frequency, beyond the noise, that go with a torque: the arm's motion spreads a line over its harmonics.
+    fn explained(&self, frequency: f64, tau: &DMatrix<f64>) -> f64 {
+        let length = self.length();
+        let spectral = Spectral::new(length, self.dt);
+        let near = |bin: &usize| (spectral.frequency(*bin) - frequency).abs() < NEIGHBOURS_HZ;
+        let bins: Vec<usize> = (0..spectral.bins()).filter(near).collect();
+        let (mut before, mut after) = (0.0, 0.0);
+        for (joint, (own, tau)) in self.torque.column_iter().zip(tau.column_iter()).enumerate() {
+            let noise = self.noise.at(joint, frequency);
+            let square = |x: &[f64]| {
+                let spectrum = spectral.transform(&self.unrolled(x));
+                bins.iter().map(|&bin| spectrum[bin].norm_sqr() / (length as f64 * noise)).sum::<f64>()
+                    - bins.len() as f64
+            };
+            (before, after) = (before + square(own.as_slice()), after + square((own - tau).as_slice()).max(0.0));
+        }
+        (1.0 - after / before.max(f64::MIN_POSITIVE)).clamp(0.0, 1.0)
+    }
+}
+
 /// One line in one run.
 struct Line<'a> {
-    record: &'a Record<'a>,
-    gravity: &'a [DMatrix<f64>],
-    rest: &'a DMatrix<f64>,
-    /// Mean torques less those of the plain model, N x n.
-    mean: &'a DMatrix<f64>,
-    noise: Noise,
-    /// The same of `mean`; what the model lacks counts as noise there.
-    noise_of_mean: Noise,
+    run: &'a str,
+    /// The deviations of the periods and their mean, or the only course. Lines are sought in the first.
+    parts: Vec<Part<'a>>,
 }
 
 /// Cosine and sine of the acceleration, with what they explain.
@@ -270,10 +381,90 @@ struct Fitted {
     gain: f64,
 }
 
+/// Normal equations of the three columns times cosine and sine.
+#[derive(Clone)]
+struct Normal {
+    g: DMatrix<f64>,
+    b: DVector<f64>,
+}
+
+impl Default for Normal {
+    fn default() -> Normal {
+        Normal { g: DMatrix::zeros(6, 6), b: DVector::zeros(6) }
+    }
+}
+
+impl Normal {
+    fn solved(mut self) -> Option<Fitted> {
+        let scale = self.g.diagonal().max();
+        for k in 0..6 {
+            self.g[(k, k)] += 1e-9 * scale;
+        }
+        let covariance = self.g.cholesky()?.inverse();
+        let theta = &covariance * &self.b;
+        Some(Fitted { gain: self.b.dot(&theta), theta, covariance })
+    }
+
+    /// Squares that go with other values, in units of the noise.
+    fn gain(&self, theta: &DVector<f64>) -> f64 {
+        2.0 * self.b.dot(theta) - (&self.g * theta).dot(theta)
+    }
+}
+
 impl<'a> Line<'a> {
-    fn of(record: &'a Record, gravity: &'a [DMatrix<f64>], rest: &'a DMatrix<f64>, mean: &'a DMatrix<f64>) -> Line<'a> {
-        let (noise, noise_of_mean) = (Noise::of(rest, record, record.periods() - 1), Noise::of(mean, record, 1));
-        Line { record, gravity, rest, mean, noise, noise_of_mean }
+    /// Of a run that repeats. Of two periods the deviations hardly tell the amplitude of a line near a harmonic of the motion, the mean does.
+    fn of(record: &'a Record, load: &Load, rest: DMatrix<f64>) -> Line<'a> {
+        let gravity = gravity_columns(&record.motion, load);
+        let mean = blocks(&record.repeats.mean, record.step);
+        let part = |rows, torque| Part::new(rows, gravity.clone(), torque, record.step, record.dt);
+        let parts = vec![part(Rows::Deviations(record), rest), part(Rows::Mean(record.experiment), mean)];
+        Line { run: &record.experiment.name, parts }
+    }
+
+    /// Of a run without repeats, by what the plain model leaves, N x n at the full rate \[Nm\].
+    fn once(experiment: &'a Experiment, load: &Load, left: &DMatrix<f64>) -> Line<'a> {
+        let step = max_step(&experiment.motion);
+        let motion = on_grid(&experiment.motion, step);
+        let gravity = gravity_columns(&motion, load);
+        let part = Part::new(Rows::Mean(experiment), gravity, blocks(left, step), step, motion.dt);
+        Line { run: &experiment.name, parts: vec![part] }
+    }
+
+    fn strongest_first(mut self) -> Vec<BaseMotion> {
+        let mut found: Vec<BaseMotion> = Vec::new();
+        while found.len() < MAX_LINES {
+            let Some(one) = self.strongest() else { break };
+            for part in &mut self.parts {
+                let torque = part.centred(part.of_line(&one));
+                part.torque -= torque;
+                part.noise = Noise::of(&part.torque, part.samples(), part.dt);
+            }
+            found.push(one);
+        }
+        found
+    }
+
+    fn strongest(&self) -> Option<BaseMotion> {
+        self.parts.iter().find_map(|part| self.strongest_in(part))
+    }
+
+    fn strongest_in(&self, part: &Part) -> Option<BaseMotion> {
+        let power = part.spectrum();
+        let near = (NEIGHBOURS_HZ / part.width()).round().max(8.0) as usize;
+        let ratio = |k: usize| {
+            let around = k.saturating_sub(near)..(k + near + 1).min(power.len());
+            let mut others: Vec<f64> = around.map(|other| power[other].1).collect();
+            power[k].1 / median(&mut others).max(f64::MIN_POSITIVE)
+        };
+        let lines = (0..power.len()).map(|k| (k, ratio(k)));
+        let mut strong: Vec<(usize, f64)> = lines.filter(|(_, ratio)| *ratio > MIN_LINE_POWER_RATIO).collect();
+        strong.sort_by(|a, b| power[b.0].1.total_cmp(&power[a.0].1));
+        strong.into_iter().take(MAX_LINES).find_map(|(k, ratio)| {
+            let frequency = self.peak(power[k].0, part.width());
+            let found = self.fit(frequency)?.report(self.run, part, frequency, ratio)?;
+            let holds = matches!(part.rows, Rows::Deviations(_)) || part.goes_on(frequency);
+            (found.explained > MIN_EXPLAINED_RATIO && holds).then_some(found)
+        })
     }
 
     /// The frequency near one where most is explained.
@@ -288,56 +479,16 @@ impl<'a> Line<'a> {
         0.5 * (low + high)
     }
 
-    /// Least squares of the three columns times cosine and sine, in the deviations and in the mean: of two periods the deviations hardly tell the
-    /// amplitude of a line near a harmonic of the motion.
+    /// Least squares in all parts.
     fn fit(&self, frequency: f64) -> Option<Fitted> {
-        let (mut g, mut b) = (DMatrix::zeros(6, 6), DVector::zeros(6));
-        for (joint, columns) in self.gravity.iter().enumerate() {
-            let weight = 1.0 / self.noise.at(joint, frequency);
-            let x = waves(self.record, columns, frequency);
-            let of_mean = mean_of_periods(&x, &self.record.uncounted, self.record.samples);
-            let weight_of_mean = 1.0 / self.noise_of_mean.at(joint, frequency);
-            g += of_mean.tr_mul(&of_mean) * weight_of_mean;
-            b += of_mean.tr_mul(&self.mean.column(joint)) * weight_of_mean;
-            let x = self.record.centred_all(x);
-            g += x.tr_mul(&x) * weight;
-            b += x.tr_mul(&self.rest.column(joint)) * weight;
-        }
-        let scale = g.diagonal().max();
-        for k in 0..6 {
-            g[(k, k)] += 1e-9 * scale;
-        }
-        let covariance = g.cholesky()?.inverse();
-        let theta = &covariance * &b;
-        Some(Fitted { gain: b.dot(&theta), theta, covariance })
+        let mut normal = Normal::default();
+        self.parts.iter().for_each(|part| part.add_to(&mut normal, frequency, |_| true));
+        normal.solved()
     }
-}
-
-/// Columns times cosine, then times sine, along the mean motion of a run: P N x 6.
-fn waves(record: &Record, columns: &DMatrix<f64>, frequency: f64) -> DMatrix<f64> {
-    let rows = record.tau.nrows();
-    let mut x = DMatrix::zeros(rows, 6);
-    // Samples of the grid are means over a block.
-    let angle = PI * frequency * record.dt;
-    let block = if record.step > 1 { angle.sin() / angle } else { 1.0 };
-    for row in 0..rows {
-        let (sin, cos) = (TAU * frequency * record.time(row)).sin_cos();
-        for c in 0..3 {
-            let column = columns[(row % record.samples, c)] * block;
-            (x[(row, c)], x[(row, 3 + c)]) = (column * cos, column * sin);
-        }
-    }
-    x
-}
-
-fn torque(record: &Record, gravity: &[DMatrix<f64>], line: &BaseMotion) -> DMatrix<f64> {
-    let theta = DVector::from_iterator(6, line.cosine.iter().chain(line.sine.iter()).copied());
-    let columns: Vec<DVector<f64>> = gravity.iter().map(|own| waves(record, own, line.frequency) * &theta).collect();
-    DMatrix::from_columns(&columns)
 }
 
 impl Fitted {
-    fn report(&self, line: &Line, frequency: f64, ratio: f64) -> Option<BaseMotion> {
+    fn report(&self, run: &str, part: &Part, frequency: f64, ratio: f64) -> Option<BaseMotion> {
         let cosine = Vector3::new(self.theta[0], self.theta[1], self.theta[2]);
         let sine = Vector3::new(self.theta[3], self.theta[4], self.theta[5]);
         // The largest axis of the ellipse that the base runs through.
@@ -349,7 +500,7 @@ impl Fitted {
         let weights = DVector::from_fn(6, |k, _| direction[k % 3] * if k < 3 { along_cosine } else { along_sine });
         let variance = (&self.covariance * &weights).dot(&weights);
         let mut found = BaseMotion {
-            run: line.record.experiment.name.clone(),
+            run: run.into(),
             frequency,
             amplitude,
             std: variance.sqrt(),
@@ -360,30 +511,9 @@ impl Fitted {
             explained: 0.0,
             rms: Vec::new(),
         };
-        let tau = torque(line.record, line.gravity, &found);
+        let tau = part.of_line(&found);
         found.rms = tau.column_iter().map(|own| (own.norm_squared() / own.len() as f64).sqrt()).collect();
-        found.explained = explained(line, frequency, &line.record.centred_all(tau));
+        found.explained = part.explained(frequency, &part.centred(tau));
         Some(found)
     }
-}
-
-/// Share of the squares near a frequency, beyond the noise, that go with a torque: the arm's motion spreads a line over its harmonics.
-fn explained(line: &Line, frequency: f64, tau: &DMatrix<f64>) -> f64 {
-    let record = line.record;
-    let length = unrolled(record, tau.column(0).into_owned().as_slice()).len();
-    let spectral = Spectral::new(length, record.dt);
-    let near = |bin: &usize| (spectral.frequency(*bin) - frequency).abs() < NEIGHBOURS_HZ;
-    let bins: Vec<usize> = (0..spectral.bins()).filter(near).collect();
-    let (mut before, mut after) = (0.0, 0.0);
-    for joint in 0..record.joints() {
-        let noise = line.noise.at(joint, frequency);
-        let square = |x: &[f64]| {
-            let spectrum = spectral.transform(&unrolled(record, x));
-            bins.iter().map(|&bin| spectrum[bin].norm_sqr() / (length as f64 * noise)).sum::<f64>() - bins.len() as f64
-        };
-        let own: Vec<f64> = line.rest.column(joint).iter().copied().collect();
-        let less: Vec<f64> = own.iter().zip(tau.column(joint).iter()).map(|(a, b)| a - b).collect();
-        (before, after) = (before + square(&own), after + square(&less).max(0.0));
-    }
-    (1.0 - after / before.max(f64::MIN_POSITIVE)).clamp(0.0, 1.0)
 }

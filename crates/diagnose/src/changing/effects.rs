@@ -132,7 +132,7 @@ impl Changing {
         Effect {
             label: format!("base motion at {:.2} Hz", line.frequency),
             parameters: Parameters(parameters.collect()),
-            folds: Folds { positive: count, informative: self.runs.len() },
+            folds: Folds { positive: count, informative: self.runs.len() + self.once.len() },
             torque_rms: line.rms.iter().copied().reduce(f64::max),
             explained_share: Some(line.explained),
             confirmed: count > 1,

@@ -35,6 +35,7 @@ use nalgebra::{DMatrix, DVector};
 use plumbline_core::{parallel, threads};
 use plumbline_identify::signal::spectral::Spectral;
 use plumbline_identify::{ExcludedSpan, Experiment, Scatter};
+use plumbline_model::term::Motion;
 use plumbline_model::term::effect::{OperatingPoint, Spec};
 use record::Record;
 use transient::Event;
@@ -71,6 +72,8 @@ pub struct Changing {
     pub hygiene: Vec<Hygiene>,
     /// Names of the runs that repeat often enough.
     pub runs: Vec<String>,
+    /// Names of the runs without repeats, where only base motions are sought.
+    pub once: Vec<String>,
     /// Names of runs that keep everything, because too much would be left out.
     pub spared: Vec<String>,
     /// Stretches to be left out of the mean.
@@ -306,13 +309,35 @@ fn merged(mut stretches: Vec<ExcludedSpan>) -> Vec<ExcludedSpan> {
     out
 }
 
-/// Takes the base motions of the identified runs off unseen runs that have them, too: they are no difference between the runs.
-pub fn without_base_motions(unseen: &mut [Experiment], found: &Changing, operating_point: &OperatingPoint) {
-    let lines = effects::lines(&found.base_motions);
-    for experiment in unseen {
-        for (line, _) in &lines {
-            let record = Record::of(experiment, 0.0);
-            let own = record.and_then(|record| base_motion::known(&record, &operating_point.load, line.frequency));
+/// Adds the base motions of runs without repeats, which show in what the plain model leaves of them. `predict` gives its torques along a motion.
+pub fn add_base_motions_once(
+    found: &mut Changing,
+    trials: &[Trial],
+    operating_point: &OperatingPoint,
+    predict: impl Fn(&Motion) -> DMatrix<f64> + Sync,
+) {
+    let once: Vec<&Experiment> =
+        trials.iter().map(|trial| trial.experiment).filter(|experiment| experiment.repeats.is_none()).collect();
+    let of_run = |experiment: &&Experiment| {
+        let left = &experiment.tau - predict(&experiment.motion);
+        base_motion::base_motions_once(experiment, &operating_point.load, &left)
+    };
+    found.base_motions.extend(parallel(&once, threads(), of_run).into_iter().flatten());
+    found.once.extend(once.iter().map(|experiment| experiment.name.clone()));
+}
+
+/// Takes the base motions of the identified runs off unseen runs that have them, too: they are no difference between the runs. `predict` gives the torques
+/// of the plain model along a motion.
+pub fn without_base_motions(
+    unseen: &mut [Experiment],
+    found: &Changing,
+    operating_point: &OperatingPoint,
+    predict: impl Fn(&Motion) -> DMatrix<f64>,
+) {
+    for (line, _) in effects::lines(&found.base_motions) {
+        for experiment in &mut *unseen {
+            let left = &experiment.tau - predict(&experiment.motion);
+            let own = base_motion::known(experiment, &operating_point.load, &left, line.frequency);
             own.inspect(|own| take_off(experiment, own, operating_point));
         }
     }
@@ -342,7 +367,9 @@ pub fn cleaned(experiments: &mut [Experiment], found: &Changing, operating_point
     {
         return;
     }
-    for (experiment, scatter) in experiments.iter_mut().zip(&found.scatter) {
+    // Nothing is known of the scatter where no run repeats.
+    let scatters = found.scatter.iter().map(Option::as_ref).chain(std::iter::repeat(None));
+    for (experiment, scatter) in experiments.iter_mut().zip(scatters) {
         for line in &found.base_motions {
             if line.run == experiment.name {
                 take_off(experiment, line, operating_point);

@@ -17,6 +17,17 @@ const STANDING_S: f64 = 0.3;
 /// Time over which a signal fades out before samples that don't count \[s\].
 const FADE_S: f64 = 0.5;
 
+/// Most samples of a motion in one of the grid.
+pub(super) fn max_step(motion: &Motion) -> usize {
+    (MAX_BLOCK_S / motion.dt * 1.001).floor().max(1.0) as usize
+}
+
+/// A motion on the grid.
+pub(super) fn on_grid(of: &Motion, step: usize) -> Motion {
+    let [q, dq, ddq] = [&of.q, &of.dq, &of.ddq].map(|x| blocks(x, step));
+    Motion { dt: of.dt * step as f64, q, dq, ddq, ..of.clone() }
+}
+
 /// One run.
 pub(super) struct Record<'a> {
     /// The run.
@@ -54,16 +65,9 @@ impl Record<'_> {
     pub fn of(experiment: &Experiment, start: f64) -> Option<Record<'_>> {
         let repeats = experiment.repeats.as_ref()?;
         let all = experiment.motion.samples();
-        let most = (MAX_BLOCK_S / experiment.motion.dt * 1.001).floor().max(1.0) as usize;
+        let most = max_step(&experiment.motion);
         let step = (1..=most).rev().find(|step| all.is_multiple_of(*step)).unwrap_or(1);
-        let on_grid = |of: &Motion| Motion {
-            dt: of.dt * step as f64,
-            q: blocks(&of.q, step),
-            dq: blocks(&of.dq, step),
-            ddq: blocks(&of.ddq, step),
-            ..of.clone()
-        };
-        let mut own = on_grid(&experiment.own_motion()?);
+        let mut own = on_grid(&experiment.own_motion()?, step);
         let tau = blocks(&repeats.tau, step);
         let mut uncounted: Vec<bool> = repeats.counted.chunks_exact(step).map(|rows| rows.contains(&false)).collect();
         // Where something came, the mean of the recorded periods ends elsewhere than it begins, and its accelerations have a blow there. Within the run
@@ -72,7 +76,8 @@ impl Record<'_> {
         uncounted[..ends.min(rows)].fill(true);
         uncounted[rows.saturating_sub(ends)..].fill(true);
         let mean = |x: &DMatrix<f64>| mean_of_periods(x, &uncounted, all / step);
-        let motion = Motion { q: mean(&own.q), dq: mean(&own.dq), ddq: mean(&own.ddq), ..on_grid(&experiment.motion) };
+        let motion =
+            Motion { q: mean(&own.q), dq: mean(&own.dq), ddq: mean(&own.ddq), ..on_grid(&experiment.motion, step) };
         if tau.nrows() <= MAX_PERIODS * motion.samples() {
             let repeated =
                 |x: &DMatrix<f64>| DMatrix::from_fn(tau.nrows(), x.ncols(), |row, j| x[(row % x.nrows(), j)]);
