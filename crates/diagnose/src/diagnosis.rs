@@ -28,7 +28,7 @@ use super::select::{MAX_LISTED_SCORES, Scored, Search, Selected};
 use super::span::Span;
 use super::state::State;
 use super::unseen::{THRESHOLD_FLOOR_RATIO, Unseen, columns_of};
-use super::veto::{end_where_refuted, vetoed};
+use super::veto::{Deciding, end_where_refuted, vetoed};
 use plumbline_identify::solve::identify_with;
 use plumbline_identify::{EstimateError, Experiment};
 use plumbline_model::term::effect;
@@ -93,7 +93,11 @@ pub fn diagnose(input: &Input, settings: &Settings, progress: &Watch) -> Result<
     let in_parts =
         acting::candidates(&evidence, &operating_point, input.identify, input.came, in_no_model, settings.threads);
     candidates.extend(in_parts);
-    let search = Search { problem, operating_point: &operating_point, library: &candidates, settings };
+    let unseen = Evidence::with_noise_of(structure.chain(), input.deciding(), input.identify, settings.band);
+    let deciding = Deciding { evidence: &unseen, structure, trials: input.veto };
+    let deciding = Some(deciding).filter(|deciding| !deciding.trials.is_empty());
+    let (library, came) = (&candidates, input.came);
+    let search = Search { problem, operating_point: &operating_point, library, settings, deciding, came };
     let seeds = seeds(&search, in_no_model);
     let mut draft = search.forward(base.clone(), &seeds, progress);
     let relinearised = relinearise(structure, &search, &mut draft.state);
@@ -101,7 +105,6 @@ pub fn diagnose(input: &Input, settings: &Settings, progress: &Watch) -> Result<
     let search = search.at(operating_point);
     let mut selected = search.finish(draft, progress);
 
-    let unseen = Evidence::with_noise_of(structure.chain(), input.deciding(), input.identify, settings.band);
     end_where_refuted(&search, &mut selected.state, &unseen, input);
     let selected = vetoed(&search, selected, input, &unseen);
     let (lacks, adequacy) = {

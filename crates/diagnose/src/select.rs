@@ -13,8 +13,11 @@ use super::library::Candidate;
 use super::search;
 use super::span::Span;
 use super::state::{State, Tried, every};
+use super::unseen::Unseen;
+use super::veto::Deciding;
 use plumbline_core::parallel;
 use plumbline_model::term::effect::{Family, OperatingPoint, Place, Setting, Spec};
+use std::cell::OnceCell;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// Candidates that are fitted in full at each step.
@@ -47,6 +50,22 @@ pub struct Search<'a> {
     pub library: &'a [Candidate],
     /// How it is done.
     pub settings: &'a Settings,
+    /// Runs that the model is not fitted to and that decide, where there are any.
+    pub deciding: Option<Deciding<'a>>,
+    /// What the deviations of the periods show, and the parts of the recording in which it acts.
+    pub came: &'a [(Spec, Span)],
+}
+
+/// A state in which candidates are judged.
+struct At<'s, 'a> {
+    state: &'s State,
+    unseen: OnceCell<Unseen<'a>>,
+}
+
+impl<'s> At<'s, '_> {
+    fn of(state: &'s State) -> Self {
+        At { state, unseen: OnceCell::new() }
+    }
 }
 
 /// A candidate with its score.
@@ -89,7 +108,7 @@ impl<'a> Search<'a> {
         'a: 'b,
     {
         let Problem { evidence, prior } = self.problem;
-        Search { problem: Problem { evidence, prior }, operating_point, library: self.library, settings: self.settings }
+        Search { problem: Problem { evidence, prior }, operating_point, ..*self }
     }
 
     fn evidence(&self) -> &Evidence {
@@ -99,7 +118,10 @@ impl<'a> Search<'a> {
     fn penalty(&self, item: &Candidate) -> f64 {
         let rows = self.evidence().per_joint() as f64;
         let columns: usize = self.library.iter().map(|one| one.rows.width).sum();
-        item.parameters() as f64 * rows.ln() + 2.0 * (columns.max(2) as f64).ln()
+        let parameters = item.parameters() as f64 * rows.ln();
+        // What the deviations show has been chosen there.
+        let came = |(spec, span): &(Spec, Span)| item.spec.is_same_effect(spec) && span.begins_near(item.span);
+        if self.came.iter().any(came) { parameters } else { parameters + 2.0 * (columns.max(2) as f64).ln() }
     }
 
     /// The best candidates for a state, refined, best first.
@@ -301,21 +323,29 @@ impl<'a> Search<'a> {
         path.push(step);
     }
 
-    /// Whether a candidate passes every gate.
-    fn passes(&self, state: &State, one: &Scored) -> bool {
+    /// Whether a candidate passes every gate. What the identified runs hardly show, or not in enough blocks of a motion that does not repeat, the unseen
+    /// ones may [prove](Deciding::prove).
+    fn passes(&self, at: &At<'_, 'a>, one: &Scored) -> bool {
         if one.score <= 0.0 || self.evidence().repeats() && !gates::shows(self.evidence(), &one.item) {
             return false;
         }
+        let state = at.state;
         let relevance = gates::relevance(self.evidence(), state, &one.tried, &one.item);
-        if !gates::matters(self.evidence(), &relevance, self.settings) {
+        let matters = gates::matters(self.evidence(), &relevance, self.settings);
+        if !matters && self.deciding.is_none() {
             return false;
         }
         let folds = gates::folds(&self.problem, state, &one.tried);
+        if folds.confirm() == Some(false) {
+            return false;
+        }
         let blocks = self.evidence().folds().len();
         let hold = |penalty: f64| folds.hold(blocks, penalty, self.least_share_left_out(&one.item));
         // The dispersion is 1 or more, and expensive.
-        folds.confirm() != Some(false)
-            && (self.evidence().repeats() || hold(one.penalty) && hold(one.penalty * self.dispersion(state, one)))
+        matters && (self.evidence().repeats() || hold(one.penalty) && hold(one.penalty * self.dispersion(state, one)))
+            || self.deciding.is_some_and(|deciding| {
+                deciding.prove(self, at.unseen.get_or_init(|| deciding.unseen(self, state)), state, one)
+            })
     }
 
     /// [`gates::dispersion`] of what acts in a part of the recording; 1 for all else.
@@ -339,15 +369,16 @@ impl<'a> Search<'a> {
 
     /// Of candidates that pass, the best; of those that are nearly as good the simplest, where the score is no exact measure.
     fn choose(&self, state: &State, proposals: Vec<Scored>) -> Option<Scored> {
+        let at = &At::of(state);
         let mut proposals = proposals.into_iter();
-        let best = proposals.find(|one| self.passes(state, one))?;
+        let best = proposals.find(|one| self.passes(at, one))?;
         if self.evidence().repeats() {
             let other_form = |one: &Scored| one.item.same_effect(&best.item) && one.score >= best.score - MIN_FORM_GAP;
-            let near: Vec<Scored> = proposals.filter(|one| other_form(one) && self.passes(state, one)).collect();
+            let near: Vec<Scored> = proposals.filter(|one| other_form(one) && self.passes(at, one)).collect();
             return [best].into_iter().chain(near).min_by_key(|one| one.item.spec.settings.len());
         }
         let least = TIE_RATIO * best.score;
-        let near = proposals.take_while(|one| one.score >= least).filter(|one| self.passes(state, one));
+        let near = proposals.take_while(|one| one.score >= least).filter(|one| self.passes(at, one));
         let cost = |one: &Scored| (one.tried.cross.width * one.item.joints().len(), one.item.parameters());
         Some(near.fold(best, |best, one| if cost(&one) < cost(&best) { one } else { best }))
     }
@@ -387,6 +418,7 @@ impl<'a> Search<'a> {
         let mut item = 0;
         while item < state.items.len() {
             let rest = state.without(&self.problem, item);
+            let at = At::of(&rest);
             let chosen = state.items[item].clone();
             let joints = chosen.joints();
             let near = |other: &Candidate| other.joints().iter().any(|joint| joints.contains(joint));
@@ -401,7 +433,7 @@ impl<'a> Search<'a> {
                 let gap = if more { MIN_FORM_GAP } else { 0.0 };
                 own.score + if self.evidence().repeats() { gap } else { MAX_RIVAL_SCORE_GAP }
             };
-            let better = others.iter().find(|other| other.score > least(&other.item) && self.passes(&rest, other));
+            let better = others.iter().find(|other| other.score > least(&other.item) && self.passes(&at, other));
             if let Some(better) = better.filter(|_| swaps > 0) {
                 swaps -= 1;
                 self.record(path, &rest, chosen, false, own.score, progress);
@@ -419,7 +451,7 @@ impl<'a> Search<'a> {
             for other in others.iter().filter(|other| other.score > 0.0 && !itself(&other.item)) {
                 let gap = own.score - other.score;
                 let listed = rivals.iter().any(|rival| rival.item.same_effect(&other.item));
-                if gap < MAX_RIVAL_SCORE_GAP && !listed && (gap > 0.0 || self.passes(&rest, other)) {
+                if gap < MAX_RIVAL_SCORE_GAP && !listed && (gap > 0.0 || self.passes(&at, other)) {
                     rivals.push(Rival { item: other.item.clone(), gap });
                 }
             }

@@ -4,6 +4,7 @@ use super::evidence::{Evidence, Trial};
 use super::fit::{Problem, group, inverse};
 use super::moments::Columns;
 use super::outcome::Fitted;
+use super::rows::Rows;
 use super::state::{State, mean_square};
 use nalgebra::{DMatrix, DVector};
 use plumbline_model::Structure;
@@ -63,6 +64,13 @@ impl<'a> Unseen<'a> {
     /// With the columns of a whole model.
     pub fn of_model(evidence: &'a Evidence, fitted: &Fitted, trials: &[Trial]) -> Unseen<'a> {
         Unseen { evidence, columns: columns_of(evidence, &fitted.structure, trials), repeats: repeats(trials) }
+    }
+
+    /// With the columns of one more effect.
+    pub fn with(&self, rows: &Rows) -> Unseen<'a> {
+        let mut columns = self.columns.clone();
+        columns.push(rows);
+        Unseen { columns, ..*self }
     }
 
     /// Without some of its columns.

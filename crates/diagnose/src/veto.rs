@@ -1,13 +1,63 @@
-//! What unseen runs refuse: effects without which they are expected no less, and those that have gone by then.
+//! What unseen runs prove, and what they refuse: effects without which they are expected no less, and those that have gone by then.
 
 use super::acting;
 use super::evidence::{Evidence, Trial};
 use super::found::Step;
 use super::input::Input;
-use super::select::{Search, Selected};
+use super::select::{Scored, Search, Selected};
 use super::span::Span;
-use super::state::State;
-use super::unseen::Unseen;
+use super::state::{State, mean_square};
+use super::unseen::{Known, Unseen};
+use plumbline_model::Structure;
+
+/// Runs that a model is not fitted to.
+#[derive(Clone, Copy)]
+pub struct Deciding<'a> {
+    /// The runs, with the noise of the identified ones.
+    pub evidence: &'a Evidence,
+    /// Columns of the plain model.
+    pub structure: &'a Structure,
+    /// The runs.
+    pub trials: &'a [Trial<'a>],
+}
+
+impl<'a> Deciding<'a> {
+    /// A state on these runs.
+    pub fn unseen(&self, search: &Search, state: &State) -> Unseen<'a> {
+        Unseen::of(self.evidence, self.structure, self.trials, state, search.operating_point)
+    }
+
+    /// Whether these runs are a proof of a candidate: the density that the identified runs predict for them rises by as much as its parameters and its choice
+    /// cost, and the error of what they predict in one joint falls by a share, and by no less than an effect has to be. `unseen` is the state without it.
+    pub fn prove(&self, search: &Search, unseen: &Unseen, state: &State, one: &Scored) -> bool {
+        if !acting::any_in(one.item.span, self.trials) {
+            return false;
+        }
+        let Ok(term) = one.item.spec.build(search.operating_point) else { return false };
+        let with = unseen.with(&self.evidence.columns(&*term, one.item.span));
+        let phi = &one.tried.fit.phi;
+        let moments = one.tried.moments(state);
+        let known = |theta, information| Known { theta, information, phi };
+        let [plain, own] = [&state.moments, &moments].map(|moments| search.problem.information(moments, phi));
+        let (before, after) = (&state.fit.theta, &one.tried.fit.theta);
+        if unseen.update(known(before, &plain)).1 - with.update(known(after, &own)).1 < one.penalty {
+            return false;
+        }
+        let settings = search.settings;
+        let taken = |joint: usize| {
+            let [without, with] = [unseen.residual(joint, before), with.residual(joint, after)]
+                .map(|rest| mean_square(self.evidence, joint, &rest));
+            match self.evidence.floor(joint) {
+                Some(floor) => {
+                    let least = settings.threshold.unwrap_or(settings.least_floor * floor).powi(2);
+                    without - with > least.max(settings.least_share * (without - floor * floor))
+                }
+                None => without - with > settings.least_share_left_out * without,
+            }
+        };
+        (0..self.evidence.joints()).any(taken)
+    }
+}
 
 /// Removes every effect without which unseen runs are expected no less. Where they are the only unseen ones the delivery withholds it instead, and
 /// the reason is said.

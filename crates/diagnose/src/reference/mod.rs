@@ -153,7 +153,8 @@ fn searched(
     let families = families();
     let mut library = library::library(evidence, &operating_point, &families, Span::ALL, settings.threads);
     library.extend(since_sessions(evidence, &operating_point, &families, settings.threads));
-    let search = Search { problem, operating_point: &operating_point, library: &library, settings };
+    let search =
+        Search { problem, operating_point: &operating_point, library: &library, settings, deciding: None, came: &[] };
     let (least, lacking) = (least(&search, &base), lack(evidence, &base));
     let selected = search.select(base, &[], progress);
     let doubt = doubt(evidence, &selected.state, reference.parameters());
@@ -177,7 +178,8 @@ pub fn between_sessions(structure: &Structure, trials: &[Trial], settings: &Sett
     let before = left_over(&evidence, &base, &base.fit.theta, BAND_EDGES_HZ.len());
     let operating_point = evidence.operating_point(structure, base.fit.theta.as_slice());
     let library = since_sessions(&evidence, &operating_point, &families(), settings.threads);
-    let search = Search { problem, operating_point: &operating_point, library: &library, settings };
+    let search =
+        Search { problem, operating_point: &operating_point, library: &library, settings, deciding: None, came: &[] };
     let (least, lacking) = (least(&search, &base), lack(&evidence, &base));
     let selected = search.select(base, &[], progress);
     let after = left_over(&evidence, &selected.state, &selected.state.fit.theta, BAND_EDGES_HZ.len());
