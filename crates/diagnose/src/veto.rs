@@ -10,6 +10,9 @@ use super::state::{State, mean_square};
 use super::unseen::{Known, Unseen};
 use plumbline_model::Structure;
 
+/// Smallest share of the error above the noise that a candidate takes in one joint of unseen runs that prove it: they may differ by something else.
+const MIN_EXPLAINED_RATIO: f64 = 0.5;
+
 /// Runs that a model is not fitted to.
 #[derive(Clone, Copy)]
 pub struct Deciding<'a> {
@@ -50,7 +53,7 @@ impl<'a> Deciding<'a> {
             match self.evidence.floor(joint) {
                 Some(floor) => {
                     let least = settings.threshold.unwrap_or(settings.least_floor * floor).powi(2);
-                    without - with > least.max(settings.least_share * (without - floor * floor))
+                    without - with > least.max(MIN_EXPLAINED_RATIO * (without - floor * floor))
                 }
                 None => without - with > settings.least_share_left_out * without,
             }

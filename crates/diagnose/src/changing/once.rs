@@ -13,11 +13,9 @@ use plumbline_model::term::effect::OperatingPoint;
 /// Largest number of periods without a majority.
 pub(super) const MAX_PERIODS: usize = 2;
 
-/// Largest energy of the other period at the same time, as a share of the contact's.
-const MAX_AGAIN_RATIO: f64 = 0.25;
 /// Smallest difference of a contact's score to that of what is no contact: what the model lacks is here too.
 const MIN_GAP: f64 = 30.0;
-/// Largest energy of another event, as a share of the contact's.
+/// Largest energy of another event, or of the other period at the same time, as a share of the contact's.
 const MAX_OTHERS_RATIO: f64 = 0.5;
 
 /// Contacts and the stretches to be left out; none where there are more periods, or one.
@@ -38,7 +36,7 @@ pub(super) fn contacts(experiment: &Experiment, operating_point: &OperatingPoint
     let comes_again = |event: &Event| {
         let rows = x.nrows();
         let [first, last] = [event.first, event.last].map(|row| (row + record.samples) % rows);
-        first < last && energy(first, last) > MAX_AGAIN_RATIO * energy(event.first, event.last)
+        first < last && energy(first, last) > MAX_OTHERS_RATIO * energy(event.first, event.last)
     };
     let (mut touched, mut others) = (Vec::new(), 0.0_f64);
     for event in contact::candidates(&record, x, &[]) {
