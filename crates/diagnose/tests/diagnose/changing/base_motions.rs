@@ -125,9 +125,9 @@ fn a_base_that_shakes_is_found_in_motions_that_do_not_repeat_and_taken_off_them(
     assert!((line.frequency - 3.93).abs() < 0.01 && (line.amplitude - 0.2).abs() < 0.02, "{line:?}");
     assert!(left.iter().all(|left| *left < 0.3), "{left:?}");
     // What the model lacks along a motion has lines, too, but none that goes on.
-    let half = |at: &super::At, tau: &mut [f64]| {
-        if at.t < 5.0 {
-            shaking(at, tau)
+    let ends = |at: &super::At, tau: &mut [f64]| {
+        if at.t < 7.0 {
+            shaking(at, tau);
         }
     };
     let (found, _) = found_in(7, &ends);

@@ -1,6 +1,6 @@
 //! What becomes of a finding: veto, adequacy, delivery, verdict.
 
-use super::synthetic::{At, DT, FLOOR, Recorded, once, recorded};
+use super::synthetic::{At, DT, FLOOR, Recorded, once, recorded, scaled};
 use plumbline_diagnose::Outcome;
 use plumbline_diagnose::outcome::{Action, BeforeAfter, Confirmation, Diagnosis, Effect, JointFacts, Verdict};
 use plumbline_diagnose::{Input, Settings, diagnose};
@@ -73,6 +73,20 @@ fn what_unseen_runs_do_not_have_is_taken_out() {
     // Nothing is delivered, and the joint stays unexplained.
     assert_eq!(refuted.after.structure.columns().len(), refuted.before.structure.columns().len());
     assert_eq!(refuted.diagnosis.verdict, Verdict::Unexplained);
+}
+
+#[test]
+fn what_the_identified_runs_hardly_show_unseen_runs_that_reach_farther_may_prove() {
+    let cubic = |size: f64| move |at: &At| [0.0, size * at.dq[1].powi(3)];
+    let found = |seed: u64, reach: f64, size: f64| {
+        let of = |seed, reach, size| scaled(&[reach; 4], seed, cubic(size));
+        let outcome = outcome(&of(seed, 1.0, 3.6e-4), &of(seed + 2000, reach, size), &of(seed + 1000, reach, 3.6e-4));
+        labels(&outcome).into_iter().map(|(id, joint, _)| format!("{id} {joint}")).collect::<Vec<_>>()
+    };
+    assert_eq!(found(36, 1.0, 3.6e-4), Vec::<String>::new());
+    assert_eq!(found(36, 2.0, 3.6e-4), ["nonlinear-viscous 2"]);
+    // Unseen runs without it prove nothing.
+    assert_eq!(found(36, 2.0, 0.0), Vec::<String>::new());
 }
 
 #[test]

@@ -56,6 +56,10 @@ fn a_score_is_the_evidence_less_what_parameters_and_choice_cost() {
             let penalty = parameters * ((4 * ROWS) as f64).ln() + choice;
             assert!((scored.penalty - penalty).abs() < 1e-9, "{family}: {} {penalty}", scored.penalty);
             assert!((scored.score - (scored.tried.evidence - penalty)).abs() < 1e-9, "{family}");
+            // What the deviations of the periods show has been chosen there.
+            let came = [(scored.item.spec.clone(), scored.item.span)];
+            let known = Search { came: &came, ..search.at(search.operating_point) }.score(base, &scored.item).unwrap();
+            assert!((known.penalty - (penalty - choice)).abs() < 1e-9, "{family}: {} {penalty}", known.penalty);
         }
     });
 }

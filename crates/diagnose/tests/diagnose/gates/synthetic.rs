@@ -215,6 +215,14 @@ impl Recorded {
         let base = State::base(&problem, columns);
         let operating_point = self.structure.operating_point(base.fit.theta.as_slice());
         let library = library(&evidence, &operating_point, families, Span::ALL, 1);
-        look(&Search { problem, operating_point: &operating_point, library: &library, settings }, &base)
+        let search = Search {
+            problem,
+            operating_point: &operating_point,
+            library: &library,
+            settings,
+            deciding: None,
+            came: &[],
+        };
+        look(&search, &base)
     }
 }
