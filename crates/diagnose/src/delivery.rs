@@ -77,15 +77,18 @@ impl Delivery<'_> {
                 share => format!("on unseen runs the effects explain {:.0} % of {lack}", 100.0 * share),
             })
         };
-        let least = |found: &Found| {
+        let items = &selected.state.items;
+        let least = |found: &Found, item: &Candidate| {
             let faint = lacks[found.relevance.joint].is_some_and(|lack| lack <= WEAK_SIGNAL_RATIO * WEAK_SIGNAL_RATIO);
-            if faint { 0.0 } else { MIN_EXPLAINED_RATIO }
+            if faint || selected.state.has_in_most_joints(item) { 0.0 } else { MIN_EXPLAINED_RATIO }
         };
         // What acts in a part is in no model.
-        let everywhere: Vec<bool> = selected.state.items.iter().map(|item| item.span.is_all()).collect();
-        let found = selected.found.iter().zip(&everywhere);
-        let mut withheld: Vec<Option<String>> =
-            found.map(|(found, all)| too_little(adequacy, found, least(found)).filter(|_| *all)).collect();
+        let everywhere: Vec<bool> = items.iter().map(|item| item.span.is_all()).collect();
+        let found = selected.found.iter().zip(items).zip(&everywhere);
+        let of_item = |((found, item), all): ((&Found, &Candidate), &bool)| {
+            too_little(adequacy, found, least(found, item)).filter(|_| *all)
+        };
+        let mut withheld: Vec<Option<String>> = found.map(of_item).collect();
         loop {
             let kept: Vec<bool> = withheld.iter().zip(&everywhere).map(|(why, all)| why.is_none() && *all).collect();
             let after = self.extended(&selected.state, &kept)?;
@@ -114,8 +117,8 @@ impl Delivery<'_> {
     }
 
     /// The effect that the model `after` must not have, and why: a parameter is below zero that can't be by its physics; its parameters are zero within
-    /// their errors; its joint is predicted worse than by the plain model on unseen runs, or another one is and all together are no worse without it; or
-    /// it is unconfirmed, and its joint is not predicted better there, or all together are no worse without it.
+    /// their errors, and most joints have no such effect; its joint is predicted worse than by the plain model on unseen runs, or another one is and all
+    /// together are no worse without it; or it is unconfirmed, and its joint is not predicted better there, or all together are no worse without it.
     fn reason(
         &self,
         selected: &Selected,
@@ -131,7 +134,7 @@ impl Delivery<'_> {
             if let Some((name, value)) = negative(after, &items[index].spec) {
                 return Some((index, format!("{name} came out as {value:.3}, and it can't be below 0")));
             }
-            if is_zero(after, &items[index].spec) {
+            if is_zero(after, &items[index].spec) && !selected.state.has_in_most_joints(&items[index]) {
                 return Some((index, "in the whole model its parameters are zero within their errors".into()));
             }
         }

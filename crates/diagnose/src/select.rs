@@ -323,7 +323,7 @@ impl<'a> Search<'a> {
         path.push(step);
     }
 
-    /// Whether a candidate passes every gate. What the identified runs hardly show, or not in enough blocks of a motion that does not repeat, the unseen
+    /// Whether a candidate passes every gate. An effect of [most joints](State::has_in_most_joints) has to show alone. What the identified runs hardly show, or not in enough blocks of a motion that does not repeat, the unseen
     /// ones may [prove](Deciding::prove).
     fn passes(&self, at: &At<'_, 'a>, one: &Scored) -> bool {
         if one.score <= 0.0 || self.evidence().repeats() && !gates::shows(self.evidence(), &one.item) {
@@ -331,7 +331,8 @@ impl<'a> Search<'a> {
         }
         let state = at.state;
         let relevance = gates::relevance(self.evidence(), state, &one.tried, &one.item);
-        let matters = gates::matters(self.evidence(), &relevance, self.settings);
+        let of_most = state.has_in_most_joints(&one.item);
+        let matters = of_most || gates::matters(self.evidence(), &relevance, self.settings);
         if !matters && self.deciding.is_none() {
             return false;
         }
@@ -340,7 +341,8 @@ impl<'a> Search<'a> {
             return false;
         }
         let blocks = self.evidence().folds().len();
-        let hold = |penalty: f64| folds.hold(blocks, penalty, self.least_share_left_out(&one.item));
+        let least_share = if of_most { 0.0 } else { self.least_share_left_out(&one.item) };
+        let hold = |penalty: f64| folds.hold(blocks, penalty, least_share);
         // The dispersion is 1 or more, and expensive.
         matters && (self.evidence().repeats() || hold(one.penalty) && hold(one.penalty * self.dispersion(state, one)))
             || self.deciding.is_some_and(|deciding| {

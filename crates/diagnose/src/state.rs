@@ -5,6 +5,7 @@ use super::fit::{Fit, Problem};
 use super::library::Candidate;
 use super::moments::{Columns, Cross, Moments};
 use nalgebra::DVector;
+use plumbline_model::term::effect::Site;
 use std::ops::Range;
 
 /// Base and effects with their fit.
@@ -39,6 +40,17 @@ impl State {
     pub fn range(&self, item: usize) -> Range<usize> {
         let first = self.base + self.items[..item].iter().map(|item| item.rows.width).sum::<usize>();
         first..first + self.items[item].rows.width
+    }
+
+    /// Whether more than half of the joints have an effect of the same family, this one's own not counted: it is one of the arm then.
+    pub fn has_in_most_joints(&self, item: &Candidate) -> bool {
+        let mut others: Vec<Site> = Vec::new();
+        for own in self.items.iter().filter(|own| own.span.is_all() && own.spec.family == item.spec.family) {
+            if own.spec.site != item.spec.site && !others.contains(&own.spec.site) {
+                others.push(own.spec.site);
+            }
+        }
+        matches!(item.spec.site, Site::Joint(_)) && item.span.is_all() && 2 * others.len() > self.columns.m.len()
     }
 
     /// With one more effect.

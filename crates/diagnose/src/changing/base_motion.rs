@@ -2,8 +2,9 @@
 //!
 //!   tau_j = - sum_c a_c(t) G_jc(q),   G_jc = d tau_j / d g_c, the three gravity columns of the known rigid bodies
 //!
-//! A line in the spectrum of the whole recording that is coherent through these columns is a base motion; its frequency is no multiple of
-//! that of the motion, or every period would repeat it.
+//! A line in the spectrum of the whole recording that is coherent through these columns is a base motion. The deviations of the periods have it but for the
+//! harmonics of the motion, where every period repeats it; what the plain model leaves of their mean, or of a motion that does not repeat, has all of it, and
+//! lines of what the model lacks, too.
 
 use super::record::{Record, blocks, max_step, median, on_grid};
 use nalgebra::{DMatrix, DVector, Matrix3, Vector3};

@@ -80,6 +80,25 @@ fn an_effect_that_unseen_runs_have_is_delivered() {
 }
 
 #[test]
+fn an_effect_that_most_joints_have_is_named_where_it_shows() {
+    let scene = Scene::panda_on_the_wall();
+    let named = |others: &[usize]| {
+        let outcome = diagnosed(&scene, 2, |_, run| {
+            others.iter().for_each(|&joint| run.tau.column_mut(joint).add_scalar_mut(0.3));
+            run.tau.column_mut(6).add_scalar_mut(0.003);
+        });
+        println!("{:?}", outcome.diagnosis.joints[6]);
+        let mut joints: Vec<usize> =
+            outcome.diagnosis.effects.iter().flat_map(|effect| effect.joints.clone()).collect();
+        joints.sort();
+        joints
+    };
+    // Half of the noise of the mean period matters to nobody, unless it is part of something larger.
+    assert_eq!(named(&[2, 3, 4]), [3, 4, 5]);
+    assert_eq!(named(&[2, 3, 4, 5]), [3, 4, 5, 6, 7]);
+}
+
+#[test]
 fn a_run_that_differs_from_the_identified_ones_is_never_nothing_significant() {
     let scene = Scene::panda_on_the_wall();
     let quiet = diagnosed(&scene, 2, |_, _| {});
