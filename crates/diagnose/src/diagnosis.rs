@@ -95,7 +95,8 @@ pub fn diagnose(input: &Input, settings: &Settings, progress: &Watch) -> Result<
     candidates.extend(in_parts);
     let unseen = Evidence::with_noise_of(structure.chain(), input.deciding(), input.identify, settings.band);
     let deciding = Deciding { evidence: &unseen, structure, trials: input.veto };
-    let deciding = Some(deciding).filter(|deciding| !deciding.trials.is_empty());
+    // Where the noise is not known, nothing is proved.
+    let deciding = Some(deciding).filter(|deciding| evidence.repeats() && !deciding.trials.is_empty());
     let (library, came) = (&candidates, input.came);
     let search = Search { problem, operating_point: &operating_point, library, settings, deciding, came };
     let seeds = seeds(&search, in_no_model);

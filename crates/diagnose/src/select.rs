@@ -50,7 +50,7 @@ pub struct Search<'a> {
     pub library: &'a [Candidate],
     /// How it is done.
     pub settings: &'a Settings,
-    /// Runs that the model is not fitted to and that decide, where there are any.
+    /// Runs that the model is not fitted to and that decide, where there are any and the noise is known.
     pub deciding: Option<Deciding<'a>>,
     /// What the deviations of the periods show, and the parts of the recording in which it acts.
     pub came: &'a [(Spec, Span)],
@@ -323,8 +323,8 @@ impl<'a> Search<'a> {
         path.push(step);
     }
 
-    /// Whether a candidate passes every gate. An effect of [most joints](State::has_in_most_joints) has to show alone. What the identified runs hardly show, or not in enough blocks of a motion that does not repeat, the unseen
-    /// ones may [prove](Deciding::prove).
+    /// Whether a candidate passes every gate. An effect of [most joints](State::has_in_most_joints) has to show alone. What the identified runs hardly show,
+    /// the unseen ones may [prove](Deciding::prove).
     fn passes(&self, at: &At<'_, 'a>, one: &Scored) -> bool {
         if one.score <= 0.0 || self.evidence().repeats() && !gates::shows(self.evidence(), &one.item) {
             return false;
@@ -340,14 +340,17 @@ impl<'a> Search<'a> {
         if folds.confirm() == Some(false) {
             return false;
         }
+        if self.evidence().repeats() {
+            let prove = |deciding: Deciding<'a>| {
+                deciding.prove(self, at.unseen.get_or_init(|| deciding.unseen(self, state)), state, one)
+            };
+            return matters || self.deciding.is_some_and(prove);
+        }
         let blocks = self.evidence().folds().len();
         let least_share = if of_most { 0.0 } else { self.least_share_left_out(&one.item) };
         let hold = |penalty: f64| folds.hold(blocks, penalty, least_share);
         // The dispersion is 1 or more, and expensive.
-        matters && (self.evidence().repeats() || hold(one.penalty) && hold(one.penalty * self.dispersion(state, one)))
-            || self.deciding.is_some_and(|deciding| {
-                deciding.prove(self, at.unseen.get_or_init(|| deciding.unseen(self, state)), state, one)
-            })
+        hold(one.penalty) && hold(one.penalty * self.dispersion(state, one))
     }
 
     /// [`gates::dispersion`] of what acts in a part of the recording; 1 for all else.

@@ -30,8 +30,9 @@ impl<'a> Deciding<'a> {
         Unseen::of(self.evidence, self.structure, self.trials, state, search.operating_point)
     }
 
-    /// Whether these runs are a proof of a candidate: the density that the identified runs predict for them rises by as much as its parameters and its choice
-    /// cost, and the error of what they predict in one joint falls by a share, and by no less than an effect has to be. `unseen` is the state without it.
+    /// Whether these runs prove a candidate: minus twice the log of the density that the identified runs predict for them falls by as much as its parameters and
+    /// its choice cost, and the mean square of what they predict in one joint falls by half of what is above the noise, and by no less than an effect has to
+    /// have. `unseen` is the state without it.
     pub fn prove(&self, search: &Search, unseen: &Unseen, state: &State, one: &Scored) -> bool {
         if !acting::any_in(one.item.span, self.trials) {
             return false;
@@ -50,13 +51,10 @@ impl<'a> Deciding<'a> {
         let taken = |joint: usize| {
             let [without, with] = [unseen.residual(joint, before), with.residual(joint, after)]
                 .map(|rest| mean_square(self.evidence, joint, &rest));
-            match self.evidence.floor(joint) {
-                Some(floor) => {
-                    let least = settings.threshold.unwrap_or(settings.least_floor * floor).powi(2);
-                    without - with > least.max(MIN_EXPLAINED_RATIO * (without - floor * floor))
-                }
-                None => without - with > settings.least_share_left_out * without,
-            }
+            self.evidence.floor(joint).is_some_and(|floor| {
+                let least = settings.threshold.unwrap_or(settings.least_floor * floor).powi(2);
+                without - with > least.max(MIN_EXPLAINED_RATIO * (without - floor * floor))
+            })
         };
         (0..self.evidence.joints()).any(taken)
     }
