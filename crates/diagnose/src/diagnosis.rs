@@ -9,7 +9,7 @@ use super::deviations::Deviations;
 use super::disagreement::{Disagreements, disagreements};
 use super::empirical::{Learned, Learning};
 use super::errors::Of;
-use super::evidence::{BAND_EDGES_HZ, Evidence, LOW_BANDS, Trial};
+use super::evidence::{Evidence, LOW_BANDS, Trial};
 use super::fallback::{self, Residual};
 use super::figures::Curves;
 use super::fit::{MIN_INDEPENDENCE_RATIO, Problem};
@@ -164,11 +164,8 @@ pub fn diagnose(input: &Input, settings: &Settings, progress: &Watch) -> Result<
     let compared = delivery.compared(&model, input.measuring());
     let independences = detectable::independences(&search, &base);
     let others = [veto.clone(), judge.clone()].concat();
-    // Noise of coarse encoders grows with the frequency and would hide what a run without any effect lacks. Forms of effects are approximations: what
-    // is left of one on another motion is no difference between the runs.
-    let bands = if kept.contains(&true) { BAND_EDGES_HZ.len() } else { LOW_BANDS };
     let Disagreements { different, undetermined } =
-        disagreements(structure.chain(), &evidence, &identified, &others, &after, settings.band, bands);
+        disagreements(structure.chain(), &evidence, &identified, &others, &after, settings.band, kept.contains(&true));
     let mut diagnosis = Diagnosis {
         verdict: verdict(&effects, residuals.is_empty() && different.is_empty(), undetermined.is_empty()),
         confirmation: Some(confirmation(&evidence)),

@@ -3,7 +3,7 @@
 //! One model for all runs is an assumption. A tool that was picked up, a base that was tilted or a sensor that was zeroed between two runs breaks
 //! it, and the runs that were identified from cannot show that.
 
-use super::evidence::{Evidence, Trial};
+use super::evidence::{BAND_EDGES_HZ, Evidence, LOW_BANDS, Trial};
 use super::outcome::{Disagreement, Fitted};
 use super::state::{mean_square_below, unmodelled_below};
 use super::unseen::Unseen;
@@ -11,8 +11,10 @@ use nalgebra::DVector;
 use plumbline_model::Chain;
 use statrs::distribution::{ContinuousCDF, FisherSnedecor};
 
-/// Smallest ratio of an unseen run's RMS to the expected one for the run to differ.
+/// Smallest ratio of an unseen run's RMS to the expected one for the run to differ,
 const MIN_RMS_RATIO: f64 = 2.0;
+/// and where the model has effects: their forms are approximations, which leave a rest on other motions.
+const MIN_RMS_RATIO_WITH_EFFECTS: f64 = 2.5;
 /// Probability that noise alone lets any joint of any run differ.
 const FALSE_ALARM_PROBABILITY: f64 = 1e-3;
 
@@ -31,9 +33,10 @@ pub struct Disagreements {
 ///
 ///   E = sqrt(noise^2 + lack^2 + 1.5^2 mean_k(m_k' C m_k))
 ///
-/// in the lowest `bands`. `m_k` is the row of sample k and `C` the covariance of the parameters: the noise is an average over many samples, but all
-/// samples share the errors of the parameters, which are often larger than their standard deviation. A run differs above `E max(2, sqrt(F))`, with
-/// the quantile `F` of the F distribution for the degrees of freedom of the noise in the run and in the identified ones: slow noise has few.
+/// below 4 Hz, for above that noise of coarse encoders hides what a run without any effect lacks; of a model `with_effects` in the whole band. `m_k` is the
+/// row of sample k and `C` the covariance of the parameters: the noise is an average over many samples, but all samples share the errors of the parameters,
+/// which are often larger than their standard deviation. A run differs above `E max(2, sqrt(F))`, 2.5 with effects, with the quantile `F` of the F
+/// distribution for the degrees of freedom of the noise in the run and in the identified ones: slow noise has few.
 /// `identified` are the runs that `fitted` was identified from, in `evidence`.
 pub fn disagreements(
     chain: &Chain,
@@ -42,8 +45,12 @@ pub fn disagreements(
     unseen: &[Trial],
     fitted: &Fitted,
     band: f64,
-    bands: usize,
+    with_effects: bool,
 ) -> Disagreements {
+    let (bands, least) = match with_effects {
+        true => (BAND_EDGES_HZ.len(), MIN_RMS_RATIO_WITH_EFFECTS),
+        false => (LOW_BANDS, MIN_RMS_RATIO),
+    };
     let beta = DVector::from_column_slice(&fitted.identification.beta);
     let own = Unseen::of_model(evidence, fitted, identified);
     let lack = |joint: usize| unmodelled_below(evidence, joint, &own.residual(joint, &beta), bands);
@@ -72,7 +79,7 @@ pub fn disagreements(
                 joint: joint + 1,
                 rms: square.sqrt(),
                 expected,
-                limit: expected * ratio.max(MIN_RMS_RATIO),
+                limit: expected * ratio.max(least),
             }
         };
         let worst = |deviations: f64| {

@@ -117,6 +117,23 @@ fn a_run_that_differs_from_the_identified_ones_is_never_nothing_significant() {
 }
 
 #[test]
+fn a_run_may_differ_more_where_effects_are_delivered() {
+    let scene = Scene::panda_on_the_wall();
+    let differs = |effect: f64, more: f64| {
+        let outcome = diagnosed(&scene, 2, |index, run| {
+            run.tau.column_mut(4).add_scalar_mut(effect);
+            if index == 2 {
+                run.tau.column_mut(6).add_scalar_mut(more);
+            }
+        });
+        println!("{:?}", outcome.diagnosis.disagreements);
+        !outcome.diagnosis.disagreements.is_empty()
+    };
+    assert_eq!([differs(0.3, 0.012), differs(0.3, 0.02)], [false, true]);
+    assert_eq!([differs(0.0, 0.004), differs(0.0, 0.0065)], [false, true]);
+}
+
+#[test]
 fn noise_of_coarse_encoders_hides_no_unseen_run_that_differs() {
     let scene = Scene::panda_on_the_wall();
     // Steps of 16 bits: above 4 Hz they are most of the noise.
