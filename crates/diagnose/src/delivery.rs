@@ -20,8 +20,9 @@ use plumbline_model::term::effect::{self, Spec};
 use plumbline_model::term::{Column, Expected, Motion};
 use std::cell::OnceCell;
 
-/// Smallest share of a joint's unmodelled power on unseen runs that its effects explain, to be delivered.
-const MIN_EXPLAINED_RATIO: f64 = 0.5;
+/// Smallest share of a joint's unmodelled power on unseen runs that its effects explain, to be delivered, or to be proved there: these runs may differ by
+/// something else.
+pub(super) const MIN_EXPLAINED_RATIO: f64 = 0.5;
 /// Largest unmodelled RMS on unseen runs, in units of the noise, for the effect to count as weak there. Errors of the parameters are as large then:
 /// a weak effect only has to do no harm.
 const WEAK_SIGNAL_RATIO: f64 = 1.5;

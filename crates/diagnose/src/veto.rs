@@ -1,6 +1,7 @@
 //! What unseen runs prove, and what they refuse: effects without which they are expected no less, and those that have gone by then.
 
 use super::acting;
+use super::delivery::MIN_EXPLAINED_RATIO;
 use super::evidence::{Evidence, Trial};
 use super::found::Step;
 use super::input::Input;
@@ -9,9 +10,6 @@ use super::span::Span;
 use super::state::{State, mean_square};
 use super::unseen::{Known, Unseen};
 use plumbline_model::Structure;
-
-/// Smallest share of the error above the noise that a candidate takes in one joint of unseen runs that prove it: they may differ by something else.
-const MIN_EXPLAINED_RATIO: f64 = 0.5;
 
 /// Runs that a model is not fitted to.
 #[derive(Clone, Copy)]
@@ -39,12 +37,10 @@ impl<'a> Deciding<'a> {
         }
         let Ok(term) = one.item.spec.build(search.operating_point) else { return false };
         let with = unseen.with(&self.evidence.columns(&*term, one.item.span));
-        let phi = &one.tried.fit.phi;
-        let moments = one.tried.moments(state);
-        let known = |theta, information| Known { theta, information, phi };
-        let [plain, own] = [&state.moments, &moments].map(|moments| search.problem.information(moments, phi));
-        let (before, after) = (&state.fit.theta, &one.tried.fit.theta);
-        if unseen.update(known(before, &plain)).1 - with.update(known(after, &own)).1 < one.penalty {
+        let (before, after, phi) = (&state.fit.theta, &one.tried.fit.theta, &one.tried.fit.phi);
+        let information = search.problem.information(&one.tried.moments(state), phi);
+        let expected = with.update(Known { theta: after, information: &information, phi }).1;
+        if unseen.update_of(&search.problem, state, phi).1 - expected < one.penalty {
             return false;
         }
         let settings = search.settings;

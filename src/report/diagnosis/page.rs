@@ -1,5 +1,6 @@
 //! What the templates of a diagnosis show, formatted.
 
+use super::errors;
 use super::rows::{self, Bar, Kind, Pair};
 use super::words::{self, fixed, quantity};
 use super::{Action, BeforeAfter, Changes, Confirmation, Diagnosis, Effect, Errors, Stratum, Verdict, plots};
@@ -19,7 +20,7 @@ pub(in crate::report) const TEMPLATES: [(&str, &str); 3] = [
 const DRAWN: usize = 10;
 
 pub(in crate::report) fn context(of: &Diagnosis, figures: &Curves) -> Value {
-    let grown = words::grown(of);
+    let grown = errors::grown(of);
     let errors = rows::pairs(&of.before, Some(&of.after).filter(|_| grown), &of.noise_floor);
     let plotted = |svg: String| (!svg.is_empty()).then(|| safe(svg));
     let band = band_of(&of.band);
@@ -42,8 +43,8 @@ pub(in crate::report) fn context(of: &Diagnosis, figures: &Curves) -> Value {
         wide => of.effects.len() > 2,
         headline => words::headline(of),
         sentences => words::sentences(of),
-        lead => words::lead(of).map(arrow),
-        error => words::error_of_runs(of).map(arrow),
+        lead => errors::lead(of).map(arrow),
+        error => errors::error_of_runs(of).map(arrow),
         effects => effects(&of.effects, of.confirmation),
         changes => of.changes.iter().map(|changes| self::changes(changes, of.confirmation)).collect::<Vec<_>>(),
         grown,

@@ -84,14 +84,16 @@ impl BaseMotion {
     }
 }
 
-/// The lines of one run that repeats, the strongest first. `rest` are its centred deviations, P N x n.
-pub(super) fn base_motions(record: &Record, load: &Load, rest: &DMatrix<f64>) -> Vec<BaseMotion> {
-    Line::of(record, load, rest.clone()).strongest_first()
+/// The lines of one run that repeats, the strongest first, and what they do to its deviations, P N x n. `rest` are its centred deviations, P N x n.
+pub(super) fn base_motions(record: &Record, load: &Load, rest: &DMatrix<f64>) -> (Vec<BaseMotion>, DMatrix<f64>) {
+    let mut line = Line::of(record, load, rest.clone());
+    let found = line.take_off_strongest();
+    (found, rest - &line.parts[0].torque)
 }
 
 /// The lines of a run without repeats, the strongest first, by what the plain model leaves there, N x n \[Nm\]. Each half of the run has them.
 pub(super) fn base_motions_once(experiment: &Experiment, load: &Load, left: &DMatrix<f64>) -> Vec<BaseMotion> {
-    Line::once(experiment, load, left).strongest_first()
+    Line::once(experiment, load, left).take_off_strongest()
 }
 
 /// A line of another run in this one, within a resolution of its frequency \[Hz\]; `None` where it is not significant. `left` is what the plain model
@@ -105,16 +107,6 @@ pub(super) fn known(experiment: &Experiment, load: &Load, left: &DMatrix<f64>, f
     let frequency = line.peak(frequency, line.parts[0].width());
     let fitted = line.fit(frequency).filter(|fitted| fitted.gain > MIN_KNOWN_GAIN)?;
     fitted.report(line.run, &line.parts[0], frequency, f64::NAN)
-}
-
-/// What these lines do to the deviations of their run, P N x n \[Nm\].
-pub(super) fn torques(record: &Record, load: &Load, lines: &[BaseMotion]) -> DMatrix<f64> {
-    let mut sum = DMatrix::zeros(record.tau.nrows(), record.joints());
-    if !lines.is_empty() {
-        let part = Line::of(record, load, sum.clone()).parts.remove(0);
-        lines.iter().for_each(|line| sum += part.of_line(line));
-    }
-    record.centred_all(sum)
 }
 
 /// Torques of each joint per unit of acceleration of the base along each of its axes, along a motion: N x 3 for each joint.
@@ -137,7 +129,7 @@ pub(super) fn gravity_columns(motion: &Motion, load: &Load) -> Vec<DMatrix<f64>>
 /// One line in one run.
 struct Line<'a> {
     run: &'a str,
-    /// The deviations of the periods and their mean, or the only course. Lines are sought in the first.
+    /// The deviations of the periods and their mean, or the only course. Lines are sought in one after the other.
     parts: Vec<Part<'a>>,
 }
 
@@ -168,7 +160,8 @@ impl<'a> Line<'a> {
         Line { run: &experiment.name, parts: vec![part] }
     }
 
-    fn strongest_first(mut self) -> Vec<BaseMotion> {
+    /// Takes the lines off the parts, the strongest first.
+    fn take_off_strongest(&mut self) -> Vec<BaseMotion> {
         let mut found: Vec<BaseMotion> = Vec::new();
         while found.len() < MAX_LINES {
             let Some(one) = self.strongest() else { break };
@@ -196,8 +189,7 @@ impl<'a> Line<'a> {
         strong.into_iter().take(MAX_LINES).find_map(|(k, ratio)| {
             let frequency = self.peak(power[k].0, part.width());
             let found = self.fit(frequency)?.report(self.run, part, frequency, ratio)?;
-            let holds = matches!(part.rows, Rows::Deviations(_)) || part.goes_on(frequency);
-            (found.explained > MIN_EXPLAINED_RATIO && holds).then_some(found)
+            (found.explained > MIN_EXPLAINED_RATIO && part.goes_on(frequency)).then_some(found)
         })
     }
 

@@ -178,8 +178,9 @@ pub fn changing(operating_point: &OperatingPoint, trials: &[Trial]) -> Changing 
     let mut masks = Vec::new();
     for (record, course) in records.iter().zip(&torques) {
         let left = &record.tau - course;
-        let lines = base_motion::base_motions(record, &operating_point.load, &record.centred_all(left.clone()));
-        let left = left - base_motion::torques(record, &operating_point.load, &lines);
+        let rest = record.centred_all(left.clone());
+        let (lines, shaken) = base_motion::base_motions(record, &operating_point.load, &rest);
+        let left = left - shaken;
         found.base_motions.extend(lines);
         if record.periods() <= once::MAX_PERIODS {
             masks.push(record.masked.clone());
@@ -334,9 +335,11 @@ pub fn without_base_motions(
     operating_point: &OperatingPoint,
     predict: impl Fn(&Motion) -> DMatrix<f64>,
 ) {
-    for (line, _) in effects::lines(&found.base_motions) {
-        for experiment in &mut *unseen {
-            let left = &experiment.tau - predict(&experiment.motion);
+    let lines = effects::lines(&found.base_motions);
+    for experiment in unseen.iter_mut().filter(|_| !lines.is_empty()) {
+        let plain = predict(&experiment.motion);
+        for (line, _) in &lines {
+            let left = &experiment.tau - &plain;
             let own = base_motion::known(experiment, &operating_point.load, &left, line.frequency);
             own.inspect(|own| take_off(experiment, own, operating_point));
         }

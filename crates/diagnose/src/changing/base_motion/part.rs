@@ -10,20 +10,20 @@ use realfft::num_complex::Complex;
 use std::f64::consts::{PI, TAU};
 
 /// Power of each joint's noise over frequency, of a single sample \[Nm2\].
-pub(super) struct Noise {
-    pub(super) power: DMatrix<f64>,
-    pub(super) width: f64,
+struct Noise {
+    power: DMatrix<f64>,
+    width: f64,
 }
 
 impl Noise {
     /// Of centred periods of so many samples below each other, or of one course.
-    pub(super) fn of(x: &DMatrix<f64>, samples: usize, dt: f64) -> Noise {
+    fn of(x: &DMatrix<f64>, samples: usize, dt: f64) -> Noise {
         let spectral = Spectral::new(samples, dt);
         let mut power = DMatrix::zeros(spectral.bins(), x.ncols());
         let freedom = (x.nrows() / samples - 1).max(1);
         let scale = 1.0 / (samples * freedom) as f64;
         for (joint, column) in x.column_iter().enumerate() {
-            for period in column.iter().copied().collect::<Vec<_>>().chunks(samples) {
+            for period in column.as_slice().chunks(samples) {
                 for (bin, value) in spectral.transform(period).iter().enumerate() {
                     power[(bin, joint)] += scale * value.norm_sqr();
                 }
@@ -32,7 +32,7 @@ impl Noise {
         Noise { power, width: spectral.frequency(1) }
     }
 
-    pub(super) fn at(&self, joint: usize, frequency: f64) -> f64 {
+    fn at(&self, joint: usize, frequency: f64) -> f64 {
         let low = (frequency / SMOOTHING_RATIO / self.width).round() as usize;
         let high =
             ((frequency * SMOOTHING_RATIO / self.width).round() as usize).max(low + 1).min(self.power.nrows() - 1);
@@ -53,16 +53,16 @@ fn weak_inverse(a: &Matrix3<f64>) -> Matrix3<f64> {
 
 /// Torques in which a line is sought.
 pub(super) struct Part<'a> {
-    pub(super) rows: Rows<'a>,
+    rows: Rows<'a>,
     /// Gravity columns of one period on the grid, N x 3 for each joint.
-    pub(super) gravity: Vec<DMatrix<f64>>,
+    gravity: Vec<DMatrix<f64>>,
     /// Rows x n \[Nm\].
     pub(super) torque: DMatrix<f64>,
-    pub(super) noise: Noise,
+    noise: Noise,
     /// Samples of the full rate in one of the grid.
-    pub(super) step: usize,
+    step: usize,
     /// Time between samples of the grid \[s\].
-    pub(super) dt: f64,
+    dt: f64,
 }
 
 /// What the rows of a part are.
@@ -86,26 +86,30 @@ impl<'a> Part<'a> {
     }
 
     /// Samples of a period on the grid.
-    pub(super) fn samples(&self) -> usize {
+    fn samples(&self) -> usize {
         self.gravity[0].nrows()
     }
 
     /// A signal in time: a period that was left out is nothing.
-    pub(super) fn unrolled(&self, x: &[f64]) -> Vec<f64> {
+    fn unrolled(&self, x: &[f64]) -> Vec<f64> {
         let Rows::Deviations(record) = &self.rows else { return x.to_vec() };
         let periods = &record.repeats.periods;
-        let first = periods.first().copied().unwrap_or(0);
-        let count = periods.last().map_or(0, |last| last + 1 - first);
-        let mut out = vec![0.0; count * record.samples];
+        let mut out = vec![0.0; self.length()];
         for (period, values) in periods.iter().zip(x.chunks(record.samples)) {
-            out[(period - first) * record.samples..][..record.samples].copy_from_slice(values);
+            out[(period - periods[0]) * record.samples..][..record.samples].copy_from_slice(values);
         }
         out
     }
 
     /// Samples of [`Part::unrolled`].
-    pub(super) fn length(&self) -> usize {
-        self.unrolled(self.torque.column(0).as_slice()).len()
+    fn length(&self) -> usize {
+        match &self.rows {
+            Rows::Deviations(record) => match record.repeats.periods[..] {
+                [first, .., last] => (last + 1 - first) * record.samples,
+                _ => self.torque.nrows(),
+            },
+            Rows::Mean(_) => self.torque.nrows(),
+        }
     }
 
     /// Resolution of a frequency \[Hz\].
@@ -114,14 +118,14 @@ impl<'a> Part<'a> {
     }
 
     /// Whether nothing of a frequency can be left: what repeats in every period is no deviation, and a harmonic of the motion tells nothing of the noise.
-    pub(super) fn hides(&self, frequency: f64) -> bool {
+    fn hides(&self, frequency: f64) -> bool {
         let own = 1.0 / (self.samples() as f64 * self.dt);
         let away = (frequency / own - (frequency / own).round()).abs() * own;
         matches!(self.rows, Rows::Deviations(_)) && away < 0.5 * self.width()
     }
 
     /// Cosine and sine of a frequency at the rows.
-    pub(super) fn wave(&self, frequency: f64) -> [Vec<f64>; 2] {
+    fn wave(&self, frequency: f64) -> [Vec<f64>; 2] {
         let angle = |t: f64| TAU * frequency * t;
         let means =
             |x: Vec<f64>| x.chunks_exact(self.step).map(|own| own.iter().sum::<f64>() / self.step as f64).collect();
@@ -144,7 +148,7 @@ impl<'a> Part<'a> {
     }
 
     /// A joint's columns times cosine, then times sine, rows x 6.
-    pub(super) fn columns(&self, joint: usize, wave: &[Vec<f64>; 2]) -> DMatrix<f64> {
+    fn columns(&self, joint: usize, wave: &[Vec<f64>; 2]) -> DMatrix<f64> {
         let gravity = &self.gravity[joint];
         DMatrix::from_fn(self.torque.nrows(), 6, |row, k| gravity[(row % gravity.nrows(), k % 3)] * wave[k / 3][row])
     }
@@ -220,8 +224,11 @@ impl<'a> Part<'a> {
     }
 
     /// Whether what is fitted to one half holds in the other, and the other way round. What the model lacks of a motion has lines, too, but none that
-    /// goes on.
+    /// goes on; the deviations have nothing of it.
     pub(super) fn goes_on(&self, frequency: f64) -> bool {
+        if matches!(self.rows, Rows::Deviations(_)) {
+            return true;
+        }
         let rows = self.torque.nrows();
         let halves = [0..rows / 2, rows / 2..rows].map(|half| {
             let mut normal = Normal::default();
@@ -258,8 +265,8 @@ impl<'a> Part<'a> {
 /// Normal equations of the three columns times cosine and sine.
 #[derive(Clone)]
 pub(super) struct Normal {
-    pub(super) g: DMatrix<f64>,
-    pub(super) b: DVector<f64>,
+    g: DMatrix<f64>,
+    b: DVector<f64>,
 }
 
 impl Default for Normal {
@@ -280,7 +287,7 @@ impl Normal {
     }
 
     /// Squares that go with other values, in units of the noise.
-    pub(super) fn gain(&self, theta: &DVector<f64>) -> f64 {
+    fn gain(&self, theta: &DVector<f64>) -> f64 {
         2.0 * self.b.dot(theta) - (&self.g * theta).dot(theta)
     }
 }
