@@ -5,9 +5,7 @@ use crate::analysis::pipeline::{self, Identified};
 use crate::dataset::Run;
 use crate::failure::Failure;
 use crate::process::progress::{self, Bar};
-use plumbline_diagnose::changing::{
-    Changing, add_base_motions_once, changing, cleaned, until_the_end, without_base_motions,
-};
+use plumbline_diagnose::changing::{Changing, add_once, changing, cleaned, until_the_end, without_base_motions};
 use plumbline_diagnose::errors::Of;
 use plumbline_diagnose::figures::Curves;
 use plumbline_diagnose::outcome::Changes;
@@ -227,7 +225,7 @@ fn prepared(question: &Question) -> Result<(Vec<Experiment>, Changing, Vec<Exper
     }
     let operating_point = question.structure.operating_point(&plain.beta());
     let predict = |motion: &Motion| plain.predict(motion);
-    add_base_motions_once(&mut found, &trials(&experiments, question.identify), &operating_point, predict);
+    add_once(&mut found, &trials(&experiments, question.identify), &operating_point, predict);
     cleaned(&mut experiments, &found, &operating_point);
     without_base_motions(&mut unseen, &found, &operating_point, predict);
     let drifts = until_the_end(&found, &operating_point, &trials(&experiments, question.identify));
@@ -242,7 +240,7 @@ fn prepared(question: &Question) -> Result<(Vec<Experiment>, Changing, Vec<Exper
 /// What differs between the periods of runs that follow their own motion, by their plain model.
 fn changed(question: &Question, plain: &TorqueModel, experiments: &[Experiment]) -> Changing {
     let operating_point = question.structure.operating_point(&plain.beta());
-    changing(&operating_point, &trials(experiments, question.identify))
+    changing(&operating_point, &trials(experiments, question.identify), |motion| plain.predict(motion))
 }
 
 /// The rigid bodies and the friction as a plain identification finds them. Weights matter little for the gravity columns, the shape of friction and

@@ -36,6 +36,11 @@ impl Timeline {
         (self.periods.first().map_or(self.edge, |period| period * self.samples) + k) as f64 * self.dt
     }
 
+    /// Time before the first sample of the grid where the run has no periods, 0 where it has \[s\].
+    pub fn before_periods(&self) -> f64 {
+        if self.periods.is_empty() { self.time(0) } else { 0.0 }
+    }
+
     /// Time of the last sample \[s\].
     pub fn end(&self) -> f64 {
         let last = self.periods.last().map_or(self.edge, |period| period * self.samples) + self.samples;

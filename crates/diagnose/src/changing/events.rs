@@ -9,6 +9,8 @@ use super::transient::{self, Event, Transient};
 use nalgebra::DMatrix;
 use plumbline_model::term::effect::OperatingPoint;
 
+/// Time between the knots of a contact's course \[s\].
+const KNOT_SPACING_S: f64 = 0.1;
 /// A contact that lasts longer may have come to stay \[s\].
 const MAX_PASSING_S: f64 = 5.0;
 
@@ -27,12 +29,7 @@ impl Events {
         let x = transient::robust(record, left, level);
         let rest = record.centred_all(left.clone());
         let periods = record.periods() as f64;
-        let noise = Noise { record, rest: &rest, ratio: periods / (periods - 1.0) };
-        // Two periods have no majority.
-        let counted = |row: usize| {
-            (row % record.samples..x.nrows()).step_by(record.samples).filter(|&row| !record.uncounted[row]).count()
-        };
-        let majority = |event: &Event| (event.first..event.last).all(|row| counted(row) > MAX_PERIODS);
+        let noise = Noise { record, rest: &rest, ratio: periods / (periods - 1.0), knot_spacing: KNOT_SPACING_S };
         let strong = match record.periods() < LEAST_PERIODS {
             true => Vec::new(),
             false => transient::events(&x, record.dt, transient::MIN_ENERGY_DEVIATIONS),
@@ -48,8 +45,8 @@ impl Events {
         let (mut found, mut taken) = (Events::default(), vec![false; x.nrows()]);
         for (_, strong, event) in events {
             let of_event = || transient::from_others(record, left, &event, &taken, MARGIN_S);
-            let touched =
-                majority(&event).then(|| contact::contact(operating_point, record, &of_event(), &noise, &event));
+            let majority = record.has_majority(event.first..event.last);
+            let touched = majority.then(|| contact::contact(operating_point, record, &of_event(), &noise, &event));
             match touched.flatten() {
                 Some(contact) => {
                     taken = either(&taken, &transient::mask(record, [&event], MARGIN_S));

@@ -137,15 +137,20 @@ impl Changing {
 
 /// Analyses the deviations of runs that were prepared with [`plumbline_identify::Settings::keep_periods`].
 ///
-/// The operating point's friction has `[fv, fc]` of each joint (\[Nms/rad\], \[Nm\]); without it, friction drifts are sought joint by joint alone. Runs without
-/// repeats have no part in it but for their hygiene.
-pub fn changing(operating_point: &OperatingPoint, trials: &[Trial]) -> Changing {
+/// The operating point's friction has `[fv, fc]` of each joint (\[Nms/rad\], \[Nm\]); without it, friction drifts are sought joint by joint alone. `predict`
+/// gives the torques of the plain model along a motion. Runs without repeats have no part in it but for their hygiene.
+pub fn changing(
+    operating_point: &OperatingPoint,
+    trials: &[Trial],
+    predict: impl Fn(&Motion) -> DMatrix<f64> + Sync,
+) -> Changing {
     let mut found = Changing::default();
     let first = Trial::begin_of(trials);
     let mut records: Vec<Record> =
         trials.iter().filter_map(|trial| Record::of(trial.experiment, trial.start - first)).collect();
     for trial in trials {
-        let (contacts, left_out) = once::contacts(trial.experiment, operating_point);
+        let unmodelled = &trial.experiment.tau - predict(&trial.experiment.motion);
+        let (contacts, left_out) = once::contacts(trial.experiment, operating_point, &unmodelled);
         // The other period deviates too, and all of that would look like something that came.
         let record = records.iter_mut().find(|record| std::ptr::eq(record.experiment, trial.experiment));
         record.into_iter().for_each(|record| record.mask_spans(&left_out));
@@ -310,8 +315,8 @@ fn merged(mut stretches: Vec<ExcludedSpan>) -> Vec<ExcludedSpan> {
     out
 }
 
-/// Adds the base motions of runs without repeats, which show in what the plain model leaves of them. `predict` gives its torques along a motion.
-pub fn add_base_motions_once(
+/// Adds the base motions and contacts of runs without repeats, which show in what the plain model leaves of them. `predict` gives its torques along a motion.
+pub fn add_once(
     found: &mut Changing,
     trials: &[Trial],
     operating_point: &OperatingPoint,
@@ -321,9 +326,16 @@ pub fn add_base_motions_once(
         trials.iter().map(|trial| trial.experiment).filter(|experiment| experiment.repeats.is_none()).collect();
     let of_run = |experiment: &&Experiment| {
         let left = &experiment.tau - predict(&experiment.motion);
-        base_motion::base_motions_once(experiment, &operating_point.load, &left)
+        let lines = base_motion::base_motions_once(experiment, &operating_point.load, &left);
+        let shaken = lines.iter().map(|line| line.of_mean(experiment, &operating_point.load));
+        let left = shaken.fold(left, |left, torque| left - torque);
+        let contacts = once::contacts_of_one_period(experiment, operating_point, &left);
+        (lines, contacts)
     };
-    found.base_motions.extend(parallel(&once, threads(), of_run).into_iter().flatten());
+    for (lines, contacts) in parallel(&once, threads(), of_run) {
+        found.base_motions.extend(lines);
+        found.contacts.extend(contacts);
+    }
     found.once.extend(once.iter().map(|experiment| experiment.name.clone()));
 }
 

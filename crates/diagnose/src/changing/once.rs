@@ -1,70 +1,88 @@
-//! Contacts in a run that repeats only once: which of two periods deviates is not known, so what deviates there deviates from the model.
-//! Runs without repeats are not searched: what the model lacks cannot be told from a contact there.
+//! Contacts where no majority of periods tells which of them deviates: what deviates there deviates from the model.
 
 use super::contact::{self, Contact, Noise};
-use super::drift::friction;
-use super::record::{Record, blocks, spread};
+use super::record::{Record, SMOOTHED_S, blocks, spread};
 use super::transient::{self, Event};
 use super::{EVENT_MARGIN_S, left_out};
 use nalgebra::DMatrix;
-use plumbline_identify::{ExcludedSpan, Experiment};
+use plumbline_identify::{ExcludedSpan, Experiment, Repeats};
 use plumbline_model::term::effect::OperatingPoint;
 
 /// Largest number of periods without a majority.
 pub(super) const MAX_PERIODS: usize = 2;
 
-/// Smallest difference of a contact's score to that of what is no contact: what the model lacks is here too.
-const MIN_GAP: f64 = 30.0;
-/// Largest energy of another event, or of the other period at the same time, as a share of the contact's.
+/// Largest energy of another event, or of another period at the same time, as a share of the contact's.
 const MAX_OTHERS_RATIO: f64 = 0.5;
 
-/// Contacts and the stretches to be left out; none where there are more periods, or one.
-pub(super) fn contacts(experiment: &Experiment, operating_point: &OperatingPoint) -> (Vec<Contact>, Vec<ExcludedSpan>) {
-    let record = Record::of(experiment, 0.0).filter(|record| record.periods() == MAX_PERIODS);
-    let Some(mut record) = record else { return Default::default() };
-    let mean = blocks(&unmodelled(experiment, operating_point), record.step);
+/// Contacts and the stretches to be left out, by what the plain model leaves of the mean torques, N x n \[Nm\].
+pub(super) fn contacts(
+    experiment: &Experiment,
+    operating_point: &OperatingPoint,
+    unmodelled: &DMatrix<f64>,
+) -> (Vec<Contact>, Vec<ExcludedSpan>) {
+    let Some(mut record) = Record::of(experiment, 0.0) else { return Default::default() };
+    let mut mean = blocks(unmodelled, record.step);
+    for mut column in mean.column_iter_mut() {
+        let (middle, _) = spread(column.as_slice());
+        column.add_scalar_mut(-middle);
+    }
     let samples = record.samples;
+    if record.has_majority(0..record.tau.nrows()) {
+        return Default::default();
+    }
     for (joint, mut column) in record.tau.column_iter_mut().enumerate() {
         column.iter_mut().enumerate().for_each(|(row, tau)| *tau += mean[(row % samples, joint)]);
     }
+    record.tau = record.smoothed(&record.tau);
     let record = record;
     let x = &contact::visible(&record, &record.tau);
-    let noise = Noise { record: &record, rest: &record.tau, ratio: 1.0 };
+    let noise = Noise { record: &record, rest: &record.tau, ratio: 1.0, knot_spacing: SMOOTHED_S };
     let scale = transient::scales(x);
-    let energy = |first: usize, last: usize| transient::energy(x, &scale, first..last);
-    // What comes again in the other period is what the model lacks.
+    let energy = |event: &Event| transient::energy(x, &scale, event.first..event.last);
+    // What comes again in another period is what the model lacks.
     let comes_again = |event: &Event| {
         let rows = x.nrows();
-        let [first, last] = [event.first, event.last].map(|row| (row + record.samples) % rows);
-        first < last && energy(first, last) > MAX_OTHERS_RATIO * energy(event.first, event.last)
+        let in_period = |period: usize| {
+            let [first, last] = [event.first, event.last].map(|row| (row + period * samples) % rows);
+            first < last && energy(&Event { first, last, ..event.clone() }) > MAX_OTHERS_RATIO * energy(event)
+        };
+        (1..record.periods()).any(in_period)
     };
     let (mut touched, mut others) = (Vec::new(), 0.0_f64);
-    for event in contact::candidates(&record, x, &[]) {
-        let size = energy(event.first, event.last);
+    let by_model = |event: &Event| !record.has_majority(event.first..event.last);
+    for event in contact::candidates(&record, x, &[]).into_iter().filter(by_model) {
         let contact = || contact::contact(operating_point, &record, x, &noise, &event);
-        match (!comes_again(&event)).then(contact).flatten().filter(|contact| contact.gap >= MIN_GAP) {
-            Some(contact) => touched.push((size, event, contact)),
-            None => others = others.max(size),
+        match (!comes_again(&event)).then(contact).flatten() {
+            Some(contact) => touched.push((energy(&event), event, contact)),
+            None => others = others.max(energy(&event)),
         }
     }
     // Where as much happens that is no contact, the model lacks something.
-    touched.retain(|(size, ..)| others < MAX_OTHERS_RATIO * size);
+    touched.retain(|(energy, ..)| others < MAX_OTHERS_RATIO * energy);
     let events = touched.iter().map(|(_, event, _)| event);
     let spans = left_out(&record, &transient::mask(&record, events, EVENT_MARGIN_S));
     (touched.into_iter().map(|(.., contact)| contact).collect(), spans)
 }
 
-/// Torques that rigid bodies and friction leave, without their median, N x n \[Nm\].
-fn unmodelled(experiment: &Experiment, operating_point: &OperatingPoint) -> DMatrix<f64> {
-    let motion = &experiment.motion;
-    let mut left = &experiment.tau - &*operating_point.load.along(motion);
-    for (joint, mut column) in left.column_iter_mut().enumerate() {
-        if !operating_point.friction.is_empty() {
-            let friction = friction(joint, motion, operating_point);
-            column.iter_mut().zip(friction).for_each(|(left, friction)| *left -= friction);
-        }
-        let (middle, _) = spread(column.as_slice());
-        column.add_scalar_mut(-middle);
-    }
-    left
+/// The same of a run without repeats.
+pub(super) fn contacts_of_one_period(
+    experiment: &Experiment,
+    operating_point: &OperatingPoint,
+    unmodelled: &DMatrix<f64>,
+) -> Vec<Contact> {
+    let (rows, joints) = experiment.tau.shape();
+    let none = DMatrix::zeros(rows, joints);
+    let repeats = Repeats {
+        periods: vec![0],
+        q: none.clone(),
+        tau: none,
+        mean: experiment.tau.clone(),
+        counted: vec![true; rows],
+    };
+    let mut experiment = experiment.clone();
+    experiment.repeats = Some(repeats);
+    // What is there when the run begins or ends may be no contact but what came within the run, or went.
+    let mut found = contacts(&experiment, operating_point, unmodelled).0;
+    found.retain(|contact| contact.at_ends == [false; 2]);
+    found
 }

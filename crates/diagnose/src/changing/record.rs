@@ -7,6 +7,8 @@ use nalgebra::DMatrix;
 use plumbline_identify::signal::time_to_nearest;
 use plumbline_identify::{ExcludedSpan, Experiment, Repeats};
 use plumbline_model::term::Motion;
+use std::f64::consts::PI;
+use std::ops::Range;
 
 /// Samples of the grid are means over at most this time \[s\].
 const MAX_BLOCK_S: f64 = 0.01;
@@ -14,6 +16,8 @@ const MAX_BLOCK_S: f64 = 0.01;
 const STANDING_SPEED: f64 = 0.01;
 /// for this long \[s\].
 const STANDING_S: f64 = 0.3;
+/// Length of the window (Hann) of the low-pass behind which contacts are sought \[s\]: its gain is a half at 5 Hz.
+pub(super) const SMOOTHED_S: f64 = 0.2;
 /// Time over which a signal fades out before samples that don't count \[s\].
 const FADE_S: f64 = 0.5;
 
@@ -116,13 +120,22 @@ impl Record<'_> {
 
     /// Time of a row since the first sample of the run \[s\], in the middle of its block.
     pub fn time(&self, row: usize) -> f64 {
-        self.since_begin(self.repeats.periods[row / self.samples] * self.samples + row % self.samples)
+        let before = self.experiment.timeline.before_periods();
+        before + self.since_begin(self.repeats.periods[row / self.samples] * self.samples + row % self.samples)
     }
 
     /// The same of a row where all periods of the run are counted.
     pub fn since_begin(&self, row: usize) -> f64 {
         let middle = (self.step - 1) as f64 / (2.0 * self.step as f64);
         (row as f64 + middle) * self.dt
+    }
+
+    /// Whether at all of these rows more periods count than could disagree.
+    pub fn has_majority(&self, mut rows: Range<usize>) -> bool {
+        let counted = |row: usize| {
+            (row % self.samples..self.uncounted.len()).step_by(self.samples).filter(|&row| !self.uncounted[row]).count()
+        };
+        rows.all(|row| counted(row) > MAX_PERIODS)
     }
 
     /// Whether a sample shows nothing of a joint's torque: it is not in the mean, or the joint stands and its friction holds any torque.
@@ -149,6 +162,30 @@ impl Record<'_> {
         let out = |row: usize| spans.iter().any(|span| (span.from..span.to).contains(&self.time(row)));
         let more: Vec<bool> = (0..self.masked.len()).map(out).collect();
         self.mask(either(&self.masked, &more));
+    }
+
+    /// A signal, P N x n, behind a low-pass; samples that are not in the mean have no part in it.
+    pub fn smoothed(&self, x: &DMatrix<f64>) -> DMatrix<f64> {
+        let half = (0.5 * SMOOTHED_S / self.dt).round() as isize;
+        let weight = |k: isize| (0.5 * PI * k as f64 / (half + 1) as f64).cos().powi(2);
+        let weights: Vec<f64> = (-half..=half).map(weight).collect();
+        let rows = x.nrows() as isize;
+        let mut out = DMatrix::zeros(x.nrows(), x.ncols());
+        for row in 0..rows {
+            let mut sum = 0.0;
+            for (weight, other) in weights.iter().zip(row - half..=row + half) {
+                if (0..rows).contains(&other) && !self.uncounted[other as usize] {
+                    sum += weight;
+                    for joint in 0..x.ncols() {
+                        out[(row as usize, joint)] += weight * x[(other as usize, joint)];
+                    }
+                }
+            }
+            if sum > 0.0 {
+                out.row_mut(row as usize).unscale_mut(sum);
+            }
+        }
+        out
     }
 
     /// Whether nothing counts from one row up to another.

@@ -8,6 +8,8 @@ const MAX_ROUNDS: usize = 30;
 pub(super) const SETTLED_RATIO: f64 = 1e-5;
 /// Ridge, as a share of the largest diagonal element: what few joints feel is as small as it can be.
 const RIDGE_RATIO: f64 = 1e-9;
+/// Weight of a mean of zero, as a share of the largest diagonal element.
+const BALANCE_RATIO: f64 = 1e3;
 
 /// Torques of an event, over their noise.
 pub(super) struct Torques {
@@ -70,8 +72,8 @@ impl Errors {
 }
 
 impl Torques {
-    /// Least squares of a course; `columns` of each joint, blocks x width.
-    pub fn fit(&self, columns: &[DMatrix<f64>]) -> Option<Course> {
+    /// Least squares of a course; `columns` of each joint, blocks x width. One that is `balanced` has a mean of zero.
+    pub fn fit(&self, columns: &[DMatrix<f64>], balanced: bool) -> Option<Course> {
         let width = columns.first()?.ncols();
         let size = width * self.knots;
         let (mut g, mut b) = (DMatrix::zeros(size, size), DVector::zeros(size));
@@ -87,13 +89,22 @@ impl Torques {
                 b.rows_mut(at, 2 * width).axpy(self.tau[(block, joint)], &row, 1.0);
             }
         }
+        if balanced {
+            let weight = BALANCE_RATIO * g.diagonal().max();
+            let of_component = |g: &mut DMatrix<f64>, one: usize, other: usize, c: usize| {
+                g[(one * width + c, other * width + c)] += weight;
+            };
+            for (one, other) in (0..self.knots).flat_map(|one| (0..self.knots).map(move |other| (one, other))) {
+                (0..width).for_each(|c| of_component(&mut g, one, other, c));
+            }
+        }
         let theta = ridged(g)?.solve(&b);
         let rss = (self.tau.norm_squared() - b.dot(&theta)).max(0.0);
         Some(Course { theta, width, line: None, rss })
     }
 
     /// The same of a course `w(t) = s(t) d` that keeps its direction, from one that need not.
-    pub fn fit_direction(&self, columns: &[DMatrix<f64>], free: &Course) -> Option<Course> {
+    pub fn fit_direction(&self, columns: &[DMatrix<f64>], free: &Course, balanced: bool) -> Option<Course> {
         let width = free.width;
         // The direction that most of the free course has.
         let knots = DMatrix::from_column_slice(width, self.knots, free.theta.as_slice());
@@ -102,7 +113,7 @@ impl Torques {
         let mut best: Option<Course> = None;
         for _ in 0..MAX_ROUNDS {
             let along = |columns: &DMatrix<f64>| DMatrix::from_columns(&[columns * &direction]);
-            let course = self.fit(&columns.iter().map(along).collect::<Vec<_>>())?;
+            let course = self.fit(&columns.iter().map(along).collect::<Vec<_>>(), balanced)?;
             let before = best.as_ref().map_or(f64::INFINITY, |best| best.rss);
             let (mut g, mut b) = (DMatrix::zeros(width, width), DVector::zeros(width));
             for block in 0..self.hats.len() {
@@ -146,4 +157,21 @@ fn ridged(mut g: DMatrix<f64>) -> Option<Cholesky<f64, Dyn>> {
     let ridge = RIDGE_RATIO * g.diagonal().max();
     (0..g.nrows()).for_each(|k| g[(k, k)] += ridge);
     g.cholesky()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_course_that_is_balanced_has_a_mean_of_zero() {
+        let hats = (0..40).map(|block| (block / 10, 1.0 - 0.1 * (block % 10) as f64)).collect();
+        let wave = |block: usize| 1.0 + (block as f64 * std::f64::consts::TAU / 40.0).sin();
+        let torques = Torques { tau: DMatrix::from_fn(40, 1, |block, _| wave(block)), hats, knots: 5 };
+        let columns = [DMatrix::from_element(40, 1, 1.0)];
+        let fit = |balanced| torques.fit(&columns, balanced).unwrap();
+        let (free, balanced) = (fit(false), fit(true));
+        assert!(free.rss < 1.0 && free.theta.mean() > 0.9, "{} {}", free.rss, free.theta);
+        assert!(balanced.rss > 20.0 && balanced.theta.mean().abs() < 1e-3, "{} {}", balanced.rss, balanced.theta);
+    }
 }

@@ -20,10 +20,11 @@ use course::{Course, SETTLED_RATIO, Torques};
 use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 use plumbline_model::term::effect::OperatingPoint;
 use plumbline_model::{Chain, JointKind, Placement};
+use std::cmp::Ordering;
 use std::f64::consts::E;
 
-/// Time between knots \[s\].
-const KNOT_SPACING_S: f64 = 0.1;
+/// Smallest difference of a contact's score to that of what is no contact. Noise alone reaches 21.
+const MIN_GAP: f64 = 30.0;
 /// Largest number of knots.
 const MAX_KNOTS: usize = 24;
 /// Torques are averaged over this time \[s\]: where friction reverses, periods differ faster than a contact does.
@@ -42,6 +43,8 @@ const SAME_LINK_RATIO: f64 = 0.02;
 const MIN_WINDOWS: usize = 12;
 /// Largest number of rounds between course and point.
 const MAX_ROUNDS: usize = 200;
+/// Smallest force of a contact at its peak \[N\]: a ribbon that hangs down has more.
+const MIN_PEAK_N: f64 = 0.2;
 /// A point is at most so far from its link's frame \[m\].
 const MAX_LEVER_M: f64 = 1.0;
 
@@ -107,6 +110,8 @@ struct Data<'a> {
     visible: DMatrix<bool>,
     /// Frames of all links at each block.
     frames: Vec<Vec<Placement>>,
+    /// Number of joints in which the event shows.
+    shown: usize,
 }
 
 /// What acts on a link.
@@ -168,23 +173,31 @@ pub(super) fn contact(
     event: &Event,
 ) -> Option<Contact> {
     let chain = &operating_point.chain;
-    let data = Data::of(chain, record, x, noise, event);
+    let mut data = Data::of(chain, record, x, noise, event);
+    let rivals = data.rivals(record, &gravity_columns(&record.motion, &operating_point.load));
+    data.shown = data.shown_in(&rivals);
+    let data = data;
     let mut tried: Vec<Fitted> = (0..chain.len()).flat_map(|link| data.tried(link)).collect();
     let most = tried.iter().map(|one| one.explained).fold(0.0, f64::max);
     tried.retain(|one| one.explained >= MIN_EXPLAINED_RATIO);
-    // What explains as much with fewer numbers: the arm gives way a little and so has torques of its own, which a full wrench would take up.
+    // What explains as much with fewer numbers: the arm gives way a little and so has torques of its own, which a full wrench would take up. Of links the
+    // innermost: what touches one further out shows in its joints, too.
     let far = |one: &Fitted| one.explained < most - SAME_LINK_RATIO;
-    let order = |a: &Fitted, b: &Fitted| {
-        far(a).cmp(&far(b)).then(a.parameters.total_cmp(&b.parameters)).then(b.explained.total_cmp(&a.explained))
+    let least = |like: &Fitted| {
+        let alike = tried.iter().filter(|one| one.parameters == like.parameters && !far(one));
+        alike.map(|one| one.course.rss).fold(f64::INFINITY, f64::min)
     };
-    tried.sort_by(order);
+    let place = |one: &Fitted| (far(one), one.parameters, one.course.rss > least(one) + MAX_RIVAL_SCORE_GAP, one.link);
+    let places: Vec<_> = tried.iter().map(place).collect();
+    let mut ordered: Vec<_> = places.into_iter().zip(tried).collect();
+    ordered.sort_by(|(a, _), (b, _)| a.partial_cmp(b).unwrap_or(Ordering::Equal));
+    let tried: Vec<Fitted> = ordered.into_iter().map(|(_, one)| one).collect();
     if tried.is_empty() {
         return None;
     }
-    let rivals = data.rivals(record, &gravity_columns(&record.motion, &operating_point.load));
     let beats = |one: Fitted| {
         let gap = data.gap(&rivals, &one);
-        (gap >= MAX_RIVAL_SCORE_GAP).then_some((one, gap))
+        (gap >= MIN_GAP).then_some((one, gap))
     };
     let (one, gap) = tried.into_iter().find_map(beats)?;
     data.report(record, event, &one, gap)
@@ -195,7 +208,7 @@ impl Data<'_> {
         let margin = (MARGIN_S / record.dt).round() as usize;
         let (first, last) = (event.first.saturating_sub(margin), (event.last + margin).min(x.nrows()));
         let seconds = (last - first) as f64 * record.dt;
-        let pieces = ((seconds / KNOT_SPACING_S).round() as usize).clamp(1, MAX_KNOTS - 1);
+        let pieces = ((seconds / noise.knot_spacing).round() as usize).clamp(1, MAX_KNOTS - 1);
         let length = block(record).min(last - first);
         let begins: Vec<usize> = (first..=last - length).step_by(length).collect();
         let middle = |begin: &usize| *begin as f64 + 0.5 * (length - 1) as f64;
@@ -206,8 +219,8 @@ impl Data<'_> {
         };
         let long = (last - first).min(x.nrows() / MIN_WINDOWS).max(length);
         let blocks = long as f64 / length as f64;
-        let of_block = noise.of_mean(length);
-        let of_long = noise.of_mean(long).into_iter().map(|noise| noise * blocks.sqrt());
+        let of_block = noise.of_mean(length, &(first..last));
+        let of_long = noise.of_mean(long, &(first..last)).into_iter().map(|noise| noise * blocks.sqrt());
         let scale: Vec<f64> = of_long.zip(&of_block).map(|(long, block)| f64::max(long, *block)).collect();
         let share = |(of_block, scale): (&f64, &f64)| (of_block / scale).powi(2);
         let visible = DMatrix::from_fn(begins.len(), chain.len(), |k, j| {
@@ -240,6 +253,7 @@ impl Data<'_> {
             rows,
             scale,
             independent,
+            shown: chain.len(),
         }
     }
 
@@ -278,11 +292,11 @@ impl Data<'_> {
 
     fn fit(&self, link: usize, act: Act) -> Option<Fitted> {
         let columns = self.columns(link, act);
-        let free = self.torques.fit(&columns)?;
+        let free = self.torques.fit(&columns, false)?;
         let knots = self.torques.knots as f64;
         let of_free = free.width.min(link + 1) as f64 * knots;
         let (course, parameters) = match act {
-            Act::Push(_) => (self.torques.fit_direction(&columns, &free)?, self.of_push()),
+            Act::Push(_) => (self.torques.fit_direction(&columns, &free, false)?, self.of_push()),
             Act::Force(_) => (free, of_free + 3.0),
             Act::Wrench => (free, of_free),
         };
@@ -290,9 +304,15 @@ impl Data<'_> {
         Some(Fitted { link, act, course, parameters, explained })
     }
 
-    /// Number of parameters of a force that keeps its direction: its sizes, that direction and the point.
+    /// Number of parameters of a force that keeps its direction: its sizes, and as much of that direction and the point as the torques tell, which are
+    /// their ratios.
     fn of_push(&self) -> f64 {
-        self.torques.knots as f64 + 5.0
+        self.torques.knots as f64 + (self.shown.saturating_sub(1) as f64).min(5.0)
+    }
+
+    /// Score of a residual with so many parameters.
+    fn score(&self, rss: f64, parameters: f64) -> f64 {
+        rss + parameters * self.independent.max(E).ln()
     }
 
     /// Share of the event's energy that is explained where this sum of squares is left, beyond the noise.
@@ -341,7 +361,7 @@ impl Data<'_> {
             let square = tau.norm_squared();
             let column = self.visible.column(joint).map(|visible| f64::from(u8::from(visible)));
             let alone = Torques { tau, hats: self.torques.hats.clone(), knots: self.torques.knots };
-            let course = alone.fit(&[DMatrix::from_columns(&[column])]);
+            let course = alone.fit(&[DMatrix::from_columns(&[column])], false);
             (square, course.map_or(square, |course| course.rss))
         };
         let of_base = |(joint, gravity): (usize, &DMatrix<f64>)| {
@@ -351,10 +371,17 @@ impl Data<'_> {
             })
         };
         let columns: Vec<DMatrix<f64>> = gravity.iter().enumerate().map(of_base).collect();
-        let free = self.torques.fit(&columns);
-        let line = free.as_ref().and_then(|free| self.torques.fit_direction(&columns, free));
+        // It comes to rest again: its acceleration has a mean of zero.
+        let free = self.torques.fit(&columns, true);
+        let line = free.as_ref().and_then(|free| self.torques.fit_direction(&columns, free, true));
         let left = |course: Option<Course>| course.map_or(f64::INFINITY, |course| course.rss);
         Rivals { joints: (0..self.chain.len()).map(of_joint).collect(), base: [left(free), left(line)] }
+    }
+
+    /// Number of joints that a course of their own explains better than nothing.
+    fn shown_in(&self, rivals: &Rivals) -> usize {
+        let knots = self.torques.knots as f64;
+        rivals.joints.iter().filter(|&&(square, rss)| self.score(rss, knots) < self.score(square, 0.0)).count()
     }
 
     /// By how much the score of an explanation is better than that of what is no contact.
@@ -362,7 +389,7 @@ impl Data<'_> {
     /// the deviations have elsewhere: a contact is not refused for what it stirs up besides.
     fn gap(&self, rivals: &Rivals, one: &Fitted) -> f64 {
         let dispersion = (one.course.rss / self.independent).max(1.0);
-        let score = |rss: f64, parameters: f64| rss / dispersion + parameters * self.independent.max(E).ln();
+        let score = |rss: f64, parameters: f64| self.score(rss / dispersion, parameters);
         let knots = self.torques.knots as f64;
         let of_joint = |&(square, rss): &(f64, f64)| score(rss, knots).min(score(square, 0.0));
         let joints = rivals.joints.iter().map(of_joint).sum::<f64>();
@@ -418,6 +445,9 @@ impl Data<'_> {
         let errors = self.torques.errors(&columns, &fitted.course)?;
         let sizes: Vec<f64> = (0..self.rows.len()).map(|block| self.at(fitted, block)[0].norm()).collect();
         let peak = sizes.iter().copied().fold(0.0, f64::max);
+        if peak < MIN_PEAK_N && fitted.act != Act::Wrench {
+            return None;
+        }
         let strong: Vec<usize> = (0..sizes.len()).filter(|&block| sizes[block] > 0.5 * peak).collect();
         let share = 1.0 / strong.len().max(1) as f64;
         let (mut force, mut moment, mut force_std) = (Vector3::zeros(), Vector3::zeros(), Vector3::zeros());

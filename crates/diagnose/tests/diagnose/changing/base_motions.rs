@@ -3,9 +3,7 @@
 use super::{PERIODS, Stage, found, kept, prepared, recorded, recorded_periods, stage};
 use nalgebra::{DMatrix, Vector3};
 use plumbline_diagnose::Trial;
-use plumbline_diagnose::changing::{
-    BaseMotion, Changing, add_base_motions_once, changing, cleaned, without_base_motions,
-};
+use plumbline_diagnose::changing::{BaseMotion, Changing, add_once, changing, cleaned, without_base_motions};
 use plumbline_diagnose::outcome::{Diagnosis, JointFacts, Verdict};
 use plumbline_identify::signal::spectral::Spectral;
 use plumbline_identify::{Experiment, Run};
@@ -63,7 +61,7 @@ fn what_a_base_that_shakes_near_a_harmonic_does_to_the_mean_is_found_and_taken_o
         experiment.follow_own_motion(|motion| repeated(clean(run), motion.samples()));
     }
     let mut unseen = experiments.split_off(1);
-    let found = changing(&stage.operating_point, &Trial::in_turn(&experiments));
+    let found = changing(&stage.operating_point, &Trial::in_turn(&experiments), |motion| stage.plain(motion));
     assert_eq!(found.base_motions.len(), 1, "{:?}", found.base_motions);
     let line = &found.base_motions[0];
     assert!((line.amplitude - 0.2).abs() < 3.5 * line.std && line.std < 0.005, "{line:?}");
@@ -88,7 +86,7 @@ fn a_base_that_shakes_at_a_harmonic_is_found_in_the_mean() {
     });
     let mut experiments = prepared(&runs, &kept());
     experiments[0].follow_own_motion(|motion| repeated(&stage.periods[0].0.tau, motion.samples()));
-    let found = changing(&stage.operating_point, &Trial::in_turn(&experiments));
+    let found = changing(&stage.operating_point, &Trial::in_turn(&experiments), |motion| stage.plain(motion));
     assert_eq!(found.base_motions.len(), 1, "{:?}", found.base_motions);
     let line = &found.base_motions[0];
     assert!((line.frequency - 3.9).abs() < 0.01 && (line.amplitude - 0.2).abs() < 0.02, "{line:?}");
@@ -112,7 +110,7 @@ fn a_base_that_shakes_is_found_in_motions_that_do_not_repeat_and_taken_off_them(
         };
         let off = |run: usize, experiment: &Experiment| near(3.93, &(&experiment.tau - plain(run)(&experiment.motion)));
         let mut found = Changing::default();
-        add_base_motions_once(&mut found, &Trial::in_turn(&experiments), &stage.operating_point, plain(0));
+        add_once(&mut found, &Trial::in_turn(&experiments), &stage.operating_point, plain(0));
         let before = [off(0, &experiments[0]), off(1, &unseen[0])];
         cleaned(&mut experiments, &found, &stage.operating_point);
         without_base_motions(&mut unseen, &found, &stage.operating_point, plain(1));

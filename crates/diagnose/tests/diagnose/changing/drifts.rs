@@ -64,7 +64,7 @@ fn a_joint_that_warms_up_from_run_to_run_has_one_drift() {
         experiments.iter().zip(starts).map(|(experiment, start)| Trial { experiment, session: 1, start }).collect()
     }
     let mut experiments = prepared(&runs, &kept());
-    let found = changing(&stage.operating_point, &trials(&experiments, starts));
+    let found = changing(&stage.operating_point, &trials(&experiments, starts), |motion| stage.plain(motion));
     let torques = until_the_end(&found, &stage.operating_point, &trials(&experiments, starts)).unwrap();
     assert_eq!(found.drifts.len(), 1, "{:?}", found.drifts);
     let drift = &found.drifts[0];
@@ -121,7 +121,7 @@ fn a_joint_that_its_own_friction_warms_has_one_drift_with_a_short_time_constant(
         .zip([0.0, 75.0])
         .map(|(experiment, start)| Trial { experiment, session: 1, start })
         .collect();
-    let found = changing(&stage.operating_point, &trials);
+    let found = changing(&stage.operating_point, &trials, |motion| stage.plain(motion));
     let [drift] = &found.drifts[..] else { panic!("{:?}", found.drifts) };
     assert_eq!((drift.what, drift.shared, drift.values.len()), (Drifting::Friction(1), Shared::Course, 1), "{drift:?}");
     let Course::Warming { joint: 1, time } = drift.course else { panic!("{drift:?}") };
