@@ -21,15 +21,15 @@ pub(super) fn contacts(
     unmodelled: &DMatrix<f64>,
 ) -> (Vec<Contact>, Vec<ExcludedSpan>) {
     let Some(mut record) = Record::of(experiment, 0.0) else { return Default::default() };
+    if record.has_majority(0..record.tau.nrows()) {
+        return Default::default();
+    }
     let mut mean = blocks(unmodelled, record.step);
     for mut column in mean.column_iter_mut() {
         let (middle, _) = spread(column.as_slice());
         column.add_scalar_mut(-middle);
     }
     let samples = record.samples;
-    if record.has_majority(0..record.tau.nrows()) {
-        return Default::default();
-    }
     for (joint, mut column) in record.tau.column_iter_mut().enumerate() {
         column.iter_mut().enumerate().for_each(|(row, tau)| *tau += mean[(row % samples, joint)]);
     }

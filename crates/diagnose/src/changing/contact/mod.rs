@@ -110,7 +110,7 @@ struct Data<'a> {
     visible: DMatrix<bool>,
     /// Frames of all links at each block.
     frames: Vec<Vec<Placement>>,
-    /// Number of joints in which the event shows.
+    /// Number of joints in which the event shows, all of them until they are [counted](Data::shown_in).
     shown: usize,
 }
 
@@ -173,10 +173,9 @@ pub(super) fn contact(
     event: &Event,
 ) -> Option<Contact> {
     let chain = &operating_point.chain;
-    let mut data = Data::of(chain, record, x, noise, event);
+    let data = Data::of(chain, record, x, noise, event);
     let rivals = data.rivals(record, &gravity_columns(&record.motion, &operating_point.load));
-    data.shown = data.shown_in(&rivals);
-    let data = data;
+    let data = Data { shown: data.shown_in(&rivals), ..data };
     let mut tried: Vec<Fitted> = (0..chain.len()).flat_map(|link| data.tried(link)).collect();
     let most = tried.iter().map(|one| one.explained).fold(0.0, f64::max);
     tried.retain(|one| one.explained >= MIN_EXPLAINED_RATIO);
