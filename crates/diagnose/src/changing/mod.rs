@@ -149,8 +149,8 @@ pub fn changing(
     let mut records: Vec<Record> =
         trials.iter().filter_map(|trial| Record::of(trial.experiment, trial.start - first)).collect();
     for trial in trials {
-        let unmodelled = &trial.experiment.tau - predict(&trial.experiment.motion);
-        let (contacts, left_out) = once::contacts(trial.experiment, operating_point, &unmodelled);
+        let unmodelled = || &trial.experiment.tau - predict(&trial.experiment.motion);
+        let (contacts, left_out) = once::contacts(trial.experiment, operating_point, unmodelled);
         // The other period deviates too, and all of that would look like something that came.
         let record = records.iter_mut().find(|record| std::ptr::eq(record.experiment, trial.experiment));
         record.into_iter().for_each(|record| record.mask_spans(&left_out));
@@ -329,7 +329,7 @@ pub fn add_once(
         let lines = base_motion::base_motions_once(experiment, &operating_point.load, &left);
         let shaken = lines.iter().map(|line| line.of_mean(experiment, &operating_point.load));
         let left = shaken.fold(left, |left, torque| left - torque);
-        let contacts = once::contacts_of_one_period(experiment, operating_point, &left);
+        let contacts = once::contacts_of_one_period(experiment, operating_point, left);
         (lines, contacts)
     };
     for (lines, contacts) in parallel(&once, threads(), of_run) {

@@ -18,13 +18,13 @@ const MAX_OTHERS_RATIO: f64 = 0.5;
 pub(super) fn contacts(
     experiment: &Experiment,
     operating_point: &OperatingPoint,
-    unmodelled: &DMatrix<f64>,
+    unmodelled: impl FnOnce() -> DMatrix<f64>,
 ) -> (Vec<Contact>, Vec<ExcludedSpan>) {
     let Some(mut record) = Record::of(experiment, 0.0) else { return Default::default() };
     if record.has_majority(0..record.tau.nrows()) {
         return Default::default();
     }
-    let mut mean = blocks(unmodelled, record.step);
+    let mut mean = blocks(&unmodelled(), record.step);
     for mut column in mean.column_iter_mut() {
         let (middle, _) = spread(column.as_slice());
         column.add_scalar_mut(-middle);
@@ -68,7 +68,7 @@ pub(super) fn contacts(
 pub(super) fn contacts_of_one_period(
     experiment: &Experiment,
     operating_point: &OperatingPoint,
-    unmodelled: &DMatrix<f64>,
+    unmodelled: DMatrix<f64>,
 ) -> Vec<Contact> {
     let (rows, joints) = experiment.tau.shape();
     let none = DMatrix::zeros(rows, joints);
@@ -82,7 +82,7 @@ pub(super) fn contacts_of_one_period(
     let mut experiment = experiment.clone();
     experiment.repeats = Some(repeats);
     // What is there when the run begins or ends may be no contact but what came within the run, or went.
-    let mut found = contacts(&experiment, operating_point, unmodelled).0;
+    let mut found = contacts(&experiment, operating_point, || unmodelled).0;
     found.retain(|contact| contact.at_ends == [false; 2]);
     found
 }

@@ -91,11 +91,8 @@ impl Torques {
         }
         if balanced {
             let weight = BALANCE_RATIO * g.diagonal().max();
-            let of_component = |g: &mut DMatrix<f64>, one: usize, other: usize, c: usize| {
-                g[(one * width + c, other * width + c)] += weight;
-            };
             for (one, other) in (0..self.knots).flat_map(|one| (0..self.knots).map(move |other| (one, other))) {
-                (0..width).for_each(|c| of_component(&mut g, one, other, c));
+                (0..width).for_each(|c| g[(one * width + c, other * width + c)] += weight);
             }
         }
         let theta = ridged(g)?.solve(&b);

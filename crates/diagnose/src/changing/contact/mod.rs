@@ -8,6 +8,7 @@
 
 mod course;
 mod noise;
+mod rivals;
 
 pub(super) use noise::Noise;
 
@@ -21,7 +22,6 @@ use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 use plumbline_model::term::effect::OperatingPoint;
 use plumbline_model::{Chain, JointKind, Placement};
 use std::cmp::Ordering;
-use std::f64::consts::E;
 
 /// Smallest difference of a contact's score to that of what is no contact. Noise alone reaches 21.
 const MIN_GAP: f64 = 30.0;
@@ -134,14 +134,6 @@ struct Fitted {
     explained: f64,
 }
 
-/// What is no contact, fitted to the same event.
-struct Rivals {
-    /// Sum of the squares of each joint's torques, and what a course of its own leaves of it.
-    joints: Vec<(f64, f64)>,
-    /// What a base that moves leaves, and one that keeps its direction.
-    base: [f64; 2],
-}
-
 /// Rows of a block.
 fn block(record: &Record) -> usize {
     ((BLOCK_S / record.dt).round() as usize).clamp(1, record.tau.nrows())
@@ -191,9 +183,6 @@ pub(super) fn contact(
     let mut ordered: Vec<_> = places.into_iter().zip(tried).collect();
     ordered.sort_by(|(a, _), (b, _)| a.partial_cmp(b).unwrap_or(Ordering::Equal));
     let tried: Vec<Fitted> = ordered.into_iter().map(|(_, one)| one).collect();
-    if tried.is_empty() {
-        return None;
-    }
     let beats = |one: Fitted| {
         let gap = data.gap(&rivals, &one);
         (gap >= MIN_GAP).then_some((one, gap))
@@ -309,11 +298,6 @@ impl Data<'_> {
         self.torques.knots as f64 + (self.shown.saturating_sub(1) as f64).min(5.0)
     }
 
-    /// Score of a residual with so many parameters.
-    fn score(&self, rss: f64, parameters: f64) -> f64 {
-        rss + parameters * self.independent.max(E).ln()
-    }
-
     /// Share of the event's energy that is explained where this sum of squares is left, beyond the noise.
     fn explained(&self, rss: f64, parameters: f64) -> f64 {
         let before = self.torques.tau.norm_squared() - self.independent;
@@ -351,50 +335,6 @@ impl Data<'_> {
             JointKind::Revolute => [axis.cross(&(point - frames[joint].origin)), axis],
             JointKind::Prismatic => [axis, Vector3::zeros()],
         }
-    }
-
-    /// Torques of each joint for itself, and a base that moves by its gravity columns over one period.
-    fn rivals(&self, record: &Record, gravity: &[DMatrix<f64>]) -> Rivals {
-        let of_joint = |joint: usize| {
-            let tau = self.torques.tau.columns(joint, 1).into_owned();
-            let square = tau.norm_squared();
-            let column = self.visible.column(joint).map(|visible| f64::from(u8::from(visible)));
-            let alone = Torques { tau, hats: self.torques.hats.clone(), knots: self.torques.knots };
-            let course = alone.fit(&[DMatrix::from_columns(&[column])], false);
-            (square, course.map_or(square, |course| course.rss))
-        };
-        let of_base = |(joint, gravity): (usize, &DMatrix<f64>)| {
-            DMatrix::from_fn(self.rows.len(), 3, |block, c| {
-                let column = gravity[(self.rows[block] % record.samples, c)] / self.scale[joint];
-                if self.visible[(block, joint)] { column } else { 0.0 }
-            })
-        };
-        let columns: Vec<DMatrix<f64>> = gravity.iter().enumerate().map(of_base).collect();
-        // It comes to rest again: its acceleration has a mean of zero.
-        let free = self.torques.fit(&columns, true);
-        let line = free.as_ref().and_then(|free| self.torques.fit_direction(&columns, free, true));
-        let left = |course: Option<Course>| course.map_or(f64::INFINITY, |course| course.rss);
-        Rivals { joints: (0..self.chain.len()).map(of_joint).collect(), base: [left(free), left(line)] }
-    }
-
-    /// Number of joints that a course of their own explains better than nothing.
-    fn shown_in(&self, rivals: &Rivals) -> usize {
-        let knots = self.torques.knots as f64;
-        rivals.joints.iter().filter(|&&(square, rss)| self.score(rss, knots) < self.score(square, 0.0)).count()
-    }
-
-    /// By how much the score of an explanation is better than that of what is no contact.
-    /// Score: residual over its noise, and `ln N` for each parameter. The noise is what the explanation leaves, if that is more than
-    /// the deviations have elsewhere: a contact is not refused for what it stirs up besides.
-    fn gap(&self, rivals: &Rivals, one: &Fitted) -> f64 {
-        let dispersion = (one.course.rss / self.independent).max(1.0);
-        let score = |rss: f64, parameters: f64| self.score(rss / dispersion, parameters);
-        let knots = self.torques.knots as f64;
-        let of_joint = |&(square, rss): &(f64, f64)| score(rss, knots).min(score(square, 0.0));
-        let joints = rivals.joints.iter().map(of_joint).sum::<f64>();
-        let [free, line] = rivals.base;
-        let base = score(free, 3.0 * knots).min(score(line, knots + 2.0));
-        joints.min(base) - score(one.course.rss, one.parameters)
     }
 
     /// The point of a link, in its frame, about which a wrench has the least moment.
