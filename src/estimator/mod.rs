@@ -176,15 +176,12 @@ fn follow(
             continue;
         }
         last_poll = Instant::now();
-        let status = match status(id) {
-            // The stream reports the end of the daemon.
+        let status = match status(id, None) {
             Err(_) if written => continue,
             status => status?,
         };
-        // The status of another start, which the stream reports next.
-        if status.served.epoch != stream.epoch() {
-            continue;
-        }
+        // The end of the daemon, or another start, is what the stream reports next.
+        let Some(status) = status.filter(|status| status.served.epoch == stream.epoch()) else { continue };
         live.iter_mut().for_each(|live| live.process_status(&status));
         if written {
             continue;
@@ -240,8 +237,10 @@ fn process_run(
         // The last run of an arm that plumbline does not drive may be too short; there may be others.
         return if identifies && results.awaits_model() { identify(id, epoch, results, live) } else { Ok(None) };
     }
-    if results.has_inclinometer() {
-        set_measured_mounting(&status_of(id, epoch)?, results.first_mounting(), &mut recorded);
+    if results.has_inclinometer()
+        && let Some(status) = status(id, Some(epoch))?
+    {
+        set_measured_mounting(&status, results.first_mounting(), &mut recorded);
     }
     results.take(recorded);
     if identifies { identify(id, epoch, results, live) } else { Ok(None) }
@@ -262,14 +261,16 @@ fn identify(
         let floor = identified.identification.rms.noise_floor.clone().unwrap_or_default();
         live.identified(&identified.model, &floor, &text, run)?;
     }
-    let offer = Request::OfferModel { toml: text };
-    match client_of(id, epoch)?.send(&offer, RESPONSE_TIMEOUT).map_err(Failure::job)? {
-        Response::ModelAccepted { model } => {
+    match ask(id, Some(epoch), &Request::OfferModel { toml: text })? {
+        None => Ok(None),
+        Some(Response::ModelAccepted { model }) => {
             tracing::info!("the daemon serves model {model:016x}");
             Ok(None)
         }
         // What has come to the arm is in the recordings, for the diagnosis to find.
-        Response::Refused { reason } if status_of(id, epoch)?.without_model.is_some() => {
+        Some(Response::Refused { reason })
+            if status(id, Some(epoch))?.is_some_and(|status| status.without_model.is_some()) =>
+        {
             let note = format!(
                 "when the model was identified, the arm no longer agreed with it, and was driven on without its torque: {reason}"
             );
@@ -277,8 +278,8 @@ fn identify(
             results.note(note);
             Ok(None)
         }
-        Response::Refused { reason } => Ok(Some(reason)),
-        other => Err(Failure::job(format!("unexpected response of the daemon to a model: {other:?}"))),
+        Some(Response::Refused { reason }) => Ok(Some(reason)),
+        Some(other) => Err(Failure::job(format!("unexpected response of the daemon to a model: {other:?}"))),
     }
 }
 
@@ -327,11 +328,14 @@ fn set_measured_mounting(status: &Status, first: Option<Mounting>, recorded: &mu
 /// Proposes a model to the daemon. A refusal is logged.
 fn propose(id: &RobotId, epoch: u64, offer: OfferedModel) -> Result<(), Failure> {
     let request = Request::ProposeModel { toml: offer.toml, proposal: offer.proposal };
-    match client_of(id, epoch)?.send(&request, RESPONSE_TIMEOUT).map_err(Failure::job)? {
-        Response::ModelAccepted { model } => tracing::info!("the daemon serves model {model:016x}"),
-        Response::ModelHeld { model } => tracing::info!("the daemon holds model {model:016x} until it is adopted"),
-        Response::Refused { reason } => tracing::warn!("the daemon refused the model: {reason}"),
-        other => return Err(Failure::job(format!("unexpected response of the daemon to a proposal: {other:?}"))),
+    match ask(id, Some(epoch), &request)? {
+        None => tracing::warn!("the daemon has ended; the model found since was not proposed"),
+        Some(Response::ModelAccepted { model }) => tracing::info!("the daemon serves model {model:016x}"),
+        Some(Response::ModelHeld { model }) => {
+            tracing::info!("the daemon holds model {model:016x} until it is adopted")
+        }
+        Some(Response::Refused { reason }) => tracing::warn!("the daemon refused the model: {reason}"),
+        Some(other) => return Err(Failure::job(format!("unexpected response of the daemon to a proposal: {other:?}"))),
     }
     Ok(())
 }
@@ -339,31 +343,27 @@ fn propose(id: &RobotId, epoch: u64, offer: OfferedModel) -> Result<(), Failure>
 /// Tells the daemon whether its model holds. A refusal means that it serves another one by now.
 fn tell(id: &RobotId, epoch: u64, verdict: Verdict) -> Result<(), Failure> {
     let request = Request::Doubt { model: verdict.model, why: verdict.doubt };
-    client_of(id, epoch)?.send(&request, RESPONSE_TIMEOUT).map(|_| ()).map_err(Failure::job)
+    ask(id, Some(epoch), &request).map(drop)
 }
 
-fn client(id: &RobotId) -> Result<Client, Failure> {
-    Client::connect(id, RESPONSE_TIMEOUT).map_err(Failure::job)
+/// Response of one start of the daemon, or of whatever start runs; `None` where it has ended: there is nobody to tell, and what was recorded is
+/// evaluated all the same.
+fn ask(id: &RobotId, epoch: Option<u64>, request: &Request) -> Result<Option<Response>, Failure> {
+    let response = Client::connect(id, RESPONSE_TIMEOUT).and_then(|mut client| {
+        epoch.into_iter().for_each(|epoch| client.bind(epoch));
+        client.send(request, RESPONSE_TIMEOUT)
+    });
+    match response {
+        Err(IpcError::NoDaemon { .. }) => Ok(None),
+        response => response.map(Some).map_err(Failure::job),
+    }
 }
 
-/// A client bound to one start of the daemon.
-fn client_of(id: &RobotId, epoch: u64) -> Result<Client, Failure> {
-    let mut client = client(id)?;
-    client.bind(epoch);
-    Ok(client)
-}
-
-fn status(id: &RobotId) -> Result<Status, Failure> {
-    status_by(client(id)?)
-}
-
-fn status_of(id: &RobotId, epoch: u64) -> Result<Status, Failure> {
-    status_by(client_of(id, epoch)?)
-}
-
-fn status_by(mut client: Client) -> Result<Status, Failure> {
-    match client.send(&Request::Status {}, RESPONSE_TIMEOUT).map_err(Failure::job)? {
-        Response::Status(status) => Ok(*status),
-        other => Err(Failure::job(format!("unexpected response of the daemon to a status request: {other:?}"))),
+/// Status, as [`ask`].
+fn status(id: &RobotId, epoch: Option<u64>) -> Result<Option<Status>, Failure> {
+    match ask(id, epoch, &Request::Status {})? {
+        None => Ok(None),
+        Some(Response::Status(status)) => Ok(Some(*status)),
+        Some(other) => Err(Failure::job(format!("unexpected response of the daemon to a status request: {other:?}"))),
     }
 }

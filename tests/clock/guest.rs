@@ -308,10 +308,12 @@ fn errors(model: &mut Model, states: &[Exact]) -> [f64; 7] {
     square.map(|square: f64| (square / states.len() as f64).sqrt())
 }
 
-#[test]
-fn the_payload_of_an_arm_at_500_hz_is_named_and_served_while_plumbline_listens() {
-    const PICKED_UP: f64 = 62.0;
-    let place = Place::new("guest-live");
+/// Moment at which the arm of [`watched_at_500_hz`] picks up 0.73 kg \[s\].
+const PICKED_UP: f64 = 62.0;
+
+/// Daemon and estimator that listen to an arm at 500 Hz, which is identified from its first 40 s and watched after 50 s.
+fn watched_at_500_hz(name: &str) -> (Place, Running, Running, Simulated) {
+    let place = Place::new(name);
     let sets = [
         "backend.guest.rate=500 Hz",
         "backend.guest.identify=40 s",
@@ -331,13 +333,19 @@ fn the_payload_of_an_arm_at_500_hz_is_named_and_served_while_plumbline_listens()
         "\n[[effect]]\nid = \"payload\"\nmass = 0.73\ncom = [0.0, 0.0, 0.15]\n\
          inertia = [0.001, 0.0, 0.0, 0.0025, 0.0, 0.0017]\nfrom = {PICKED_UP}\n"
     );
-    let mut controller = Simulated {
+    let controller = Simulated {
         arm: sim(&arm_with("sim-panda", &payload), 5, Pace::Fast(Arc::new(Gate::unlimited()))),
         publisher: GuestPublisher::open(&RobotId::parse("test", "robot", &place.id).unwrap()).unwrap(),
         period: 2,
         tick: 0,
         sent: 0,
     };
+    (place, daemon, estimator, controller)
+}
+
+#[test]
+fn the_payload_of_an_arm_at_500_hz_is_named_and_served_while_plumbline_listens() {
+    let (place, daemon, estimator, mut controller) = watched_at_500_hz("guest-live");
     let states = controller.until(51.0, &place);
     let first = wait_for("the model", || place.status().map(|now| now.model).filter(|model| *model != 0));
     let expected = Expected { robot: Some("panda".into()), gravity: Some([9.81, 0.0, 0.0]) };
@@ -356,6 +364,10 @@ fn the_payload_of_an_arm_at_500_hz_is_named_and_served_while_plumbline_listens()
     wait_for("the followed one", || model.status().model == second);
     let with = errors(&mut model, &states);
     let states = controller.until(PICKED_UP + 30.0, &place);
+    // What the estimator has not read yet goes with the daemon.
+    wait_for("the estimator", || {
+        place.status().is_some_and(|now| now.served.followers.iter().all(|of| of.acknowledged == now.served.published))
+    });
     place.quit(daemon);
     let log = place.out().join("live.json");
     let log = wait_for("the end of the log", || {
@@ -394,4 +406,25 @@ fn the_payload_of_an_arm_at_500_hz_is_named_and_served_while_plumbline_listens()
         let mass = effects[0]["parameters"]["mass"].as_f64().unwrap();
         assert!((mass / 0.73 - 1.0).abs() < 0.01, "{mass} kg");
     }
+}
+
+#[test]
+fn what_an_estimator_has_received_is_evaluated_though_the_daemon_has_ended() {
+    let (place, daemon, mut estimator, mut controller) = watched_at_500_hz("guest-ended");
+    controller.until(51.0, &place);
+    wait_for("the model", || place.status().is_some_and(|now| now.model != 0));
+    wait_for("the report", || place.out().join("report.json").is_file());
+    signal(estimator.pid(), "STOP");
+    controller.until(PICKED_UP + 4.0, &place);
+    place.quit(daemon);
+    signal(estimator.pid(), "CONT");
+    let log = place.out().join("live.json");
+    wait_for("the end of the log", || {
+        let log: Value = serde_json::from_str(&std::fs::read_to_string(&log).ok()?).ok()?;
+        let lost = log["events"].as_array()?.iter().any(|event| event["event"] == "lost");
+        let last = log["stretches"].as_array()?.last()?.get("end")?.as_f64()?;
+        (lost && last > PICKED_UP + 2.0).then_some(())
+    });
+    assert!(estimator.runs(), "an estimator waits for the next daemon");
+    signal(estimator.pid(), "TERM");
 }

@@ -99,7 +99,7 @@ impl Robot {
 
     pub fn ask(&self, request: &Request) -> Option<Response> {
         let mut client = Client::connect(&self.id, Duration::from_millis(200)).ok()?;
-        client.send(request, Duration::from_millis(500)).ok()
+        client.send(request, Duration::from_secs(5)).ok()
     }
 
     pub fn status(&self) -> Option<Status> {
