@@ -20,7 +20,7 @@ fn a_sketch_of_a_swinging_link_is_nearly_its_columns() {
     let beta = plumbline_identify::solve::identify(&structure, std::slice::from_ref(&experiment)).unwrap().beta;
     let operating_point = structure.operating_point(&beta);
     // Joint 7 flutters in its gap, joint 2 swings slowly.
-    for (joint, settings) in [(6, vec![7.5e-4, 0.5, 5.0]), (1, vec![7.5e-4, 0.5, 2.5])] {
+    for (joint, settings) in [(6, vec![7.5e-4, 0.5, 5e-5, 5.0]), (1, vec![7.5e-4, 0.5, 5e-5, 2.5])] {
         let spec = Spec { family: "backlash", form: "swinging", site: Site::Joint(joint), settings };
         let careful = Candidate::of(&evidence, &operating_point, spec.clone(), Span::ALL).unwrap();
         let rough = Candidate::sketch(&evidence, &operating_point, spec, Span::ALL).unwrap();

@@ -24,8 +24,8 @@ pub static FAMILY: Family = Family {
         },
         Form {
             name: SWINGING,
-            equation: "tau = gap_i lin_i(-theta / g), theta = g tanh((tau_i - sqrt(M_ii width / g) / quality dtheta) / width), tau_i = tau_rb_i(q - theta) + f_i(dq_i - dtheta): the link's inertia swings in the gap",
-            settings: &[HALF_GAP, FLANK_WIDTH, QUALITY],
+            equation: "tau = gap_i lin_i(-theta / g), theta = g tanh(s / width) + c s, s = tau_i - d dtheta, d = sqrt(M_ii / (dtheta/ds)) / quality, tau_i = tau_rb_i(q - theta) + f_i(dq_i - dtheta): the link's inertia swings in the gap and on elastic teeth",
+            settings: &[HALF_GAP, FLANK_WIDTH, COMPLIANCE, QUALITY],
             build: swinging,
             in_c: REFUSED_MEMORY,
             plot_over: PlotOver::Load,
@@ -45,9 +45,9 @@ const HALF_GAP: Setting = Setting {
     name: "g",
     unit: "rad",
     what: "half of the gap in which the link swings",
-    low: 1e-4,
-    high: 3e-3,
-    steps: 3,
+    low: 5e-5,
+    high: 6e-3,
+    steps: 4,
     scale: Scale::Logarithmic,
 };
 
@@ -55,9 +55,19 @@ const FLANK_WIDTH: Setting = Setting {
     name: "width",
     unit: "Nm",
     what: "load at which the teeth lie on a flank with 76 % of the gap",
-    low: 0.05,
+    low: 0.01,
     high: 5.0,
-    steps: 4,
+    steps: 3,
+    scale: Scale::Logarithmic,
+};
+
+const COMPLIANCE: Setting = Setting {
+    name: "c",
+    unit: "rad/Nm",
+    what: "compliance of teeth and shaft",
+    low: 1e-6,
+    high: 1e-3,
+    steps: 1,
     scale: Scale::Logarithmic,
 };
 
@@ -71,8 +81,8 @@ fn of_body(operating_point: &OperatingPoint, site: Site, settings: &[f64]) -> Ar
 }
 
 fn swinging(operating_point: &OperatingPoint, site: Site, settings: &[f64]) -> Arc<dyn Term> {
-    let gear = Gear::Gap(settings[0], settings[1]);
-    Swing::term(&FAMILY, operating_point, site, settings, columns(operating_point, site), gear, settings[2])
+    let gear = Gear::Gap(settings[0], settings[1], settings[2]);
+    Swing::term(&FAMILY, operating_point, site, settings, columns(operating_point, site), gear, settings[3])
 }
 
 fn columns(operating_point: &OperatingPoint, site: Site) -> Vec<Column> {

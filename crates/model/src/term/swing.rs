@@ -38,8 +38,8 @@ const DECAY_S: f64 = 0.8;
 /// Deflection of a gear.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Gear {
-    /// `theta = gap tanh(tau / width)`: half of the play \[rad\], torque at 76 % of it \[Nm\].
-    Gap(f64, f64),
+    /// `theta = gap tanh(tau / width) + c tau`: half of the play \[rad\], torque at 76 % of it \[Nm\], compliance of teeth and shaft \[rad/Nm\].
+    Gap(f64, f64, f64),
     /// `theta = c tau`: compliance \[rad/Nm\].
     Spring(f64),
 }
@@ -48,9 +48,9 @@ impl Gear {
     /// Twist under a torque, and its slope.
     fn under(self, tau: f64) -> (f64, f64) {
         match self {
-            Gear::Gap(gap, width) => {
+            Gear::Gap(gap, width, compliance) => {
                 let flank = (tau / width).tanh();
-                (gap * flank, gap / width * (1.0 - flank * flank))
+                (gap * flank + compliance * tau, gap / width * (1.0 - flank * flank) + compliance)
             }
             Gear::Spring(compliance) => (compliance * tau, compliance),
         }
@@ -59,19 +59,19 @@ impl Gear {
     /// Factor of the twist.
     fn size(self) -> f64 {
         match self {
-            Gear::Gap(size, _) | Gear::Spring(size) => size,
+            Gear::Gap(size, ..) | Gear::Spring(size) => size,
         }
     }
 }
 
 /// The twist as a state that is integrated in time. The encoder sits on the motor's side and shows `q_i`; the link is at `q_i - theta`:
 ///
-///   theta = twist(tau - d dtheta),   d = sqrt(M_ii / compliance) / quality,
+///   theta = twist(s),   s = tau - d dtheta,   d = sqrt(M_ii / twist'(s)) / quality,
 ///   tau = tau_rb_i(q - theta) + f_i(dq_i - dtheta)
 ///       = tau_rb_i(q) - K_i theta - V_i dtheta - M_ii ddtheta + f_i(dq_i - dtheta),
 ///
-/// with the friction `f_i` behind the gear and a damping `d` in it. Without damping the law has a pole at the link's resonance on a motor at
-/// rest, where the measured motion is mostly noise. The one column is the change of all rows by the twist, per gap or compliance.
+/// with the friction `f_i` behind the gear and a damping `d` in it, that of teeth which touch: between the flanks of a gap there is hardly any.
+/// Without damping the law has a pole at the link's resonance on a motor at rest, where the measured motion is mostly noise. The one column is the change of all rows by the twist, per gap or compliance.
 ///
 /// Backward differences of second order make each step one scalar equation in `tau`, whose left side rises with a slope of at least one.
 /// `K_i theta + V_i dtheta` are those of the sample before: next to `M_ii ddtheta` they are small, and slow.
@@ -122,7 +122,8 @@ impl Swing {
 
     /// One step: `[theta, dtheta, ddtheta]` at the rigid-body torque `load` \[Nm\] and the velocity `dq`.
     fn step(&mut self, load: f64, dq: f64, inertia: f64, dt: f64) -> [f64; 3] {
-        let damping = (inertia / self.gear.under(0.0).1).sqrt() / self.quality;
+        // At the torque of the step before: the left side below goes on to rise with a slope of at least one.
+        let damping = (inertia / self.gear.under(self.tau).1).sqrt() / self.quality;
         let [first, second] = self.past.slopes(dt);
         // Left side minus right side, its slope over tau, and the twist.
         let at = |tau: f64| {

@@ -71,7 +71,9 @@ fn a_model_with_any_effect_is_rebuilt_from_its_names() {
                 let again = rebuild(&named(&full)).unwrap();
                 assert_eq!(full.parameters(), again.parameters(), "{spec:?}");
                 let motion = smooth_motion(&mut rng, model.structure().chain().len(), false, 1000);
-                assert_eq!(full.predict(&motion), again.predict(&motion), "{spec:?}");
+                // To the last bit: a random arm, which no real body is, may fall through a soft gear.
+                let bits = |model: &TorqueModel| model.predict(&motion).map(f64::to_bits);
+                assert_eq!(bits(&full), bits(&again), "{spec:?}");
             }
         }
     }

@@ -181,27 +181,32 @@ fn a_link_oscillates_on_its_gear() {
         let width = (0.5 * torque.column(i).amax()).min(5.0);
         let (compliance, gap) = (5e-4, 5e-4 * width);
         let quality = 4.0;
+        // Teeth give way, too.
+        let teeth = 0.1 * compliance;
         let cases = [
-            ("joint-elasticity", vec![compliance, quality], compliance),
-            ("backlash", vec![gap, width, quality], gap / width),
+            ("joint-elasticity", vec![compliance, quality], 0.0, compliance),
+            ("backlash", vec![gap, width, teeth, quality], gap, teeth),
         ];
-        for (id, settings, slack) in cases {
-            let (size, gapped) = (settings[0], id == "backlash");
-            let twist = |tau: f64| if gapped { gap * (tau / width).tanh() } else { compliance * tau };
+        for (id, settings, gap, compliance) in cases {
+            let size = settings[0];
+            let twist = |tau: f64| gap * (tau / width).tanh() + compliance * tau;
+            let slack = |tau: f64| gap / width * (1.0 - (tau / width).tanh().powi(2)) + compliance;
             let spec = effect(id, "swinging", Site::Joint(i), &settings);
             let added = size * column_of(&operating_point, &spec, &motion, 0).column(i);
             let still = friction(&operating_point, &motion, i);
             let tau: Vec<f64> = (0..motion.samples()).map(|k| torque[(k, i)] + still[k] + added[k]).collect();
             // theta = twist(tau - d dtheta), by the implicit Euler method and bisection: another way than the law's.
-            let damping = (inertia / slack).sqrt() / quality;
+            // On a flank it is damped as the teeth are, between the flanks hardly.
             let mut theta = vec![0.0; motion.samples()];
+            let mut elastic = 0.0;
             for k in 0..2 * motion.samples() {
                 let (now, before) = (k % motion.samples(), theta[(k + motion.samples() - 1) % motion.samples()]);
+                let damping = (inertia / slack(elastic)).sqrt() / quality;
                 let (mut low, mut high) = (-0.1, 0.1);
                 for _ in 0..60 {
                     let middle = 0.5 * (low + high);
-                    let behind = twist(tau[now] - damping * (middle - before) / motion.dt);
-                    if middle > behind { high = middle } else { low = middle }
+                    elastic = tau[now] - damping * (middle - before) / motion.dt;
+                    if middle > twist(elastic) { high = middle } else { low = middle }
                 }
                 theta[now] = 0.5 * (low + high);
             }
