@@ -56,7 +56,7 @@ const FLANK_WIDTH: Setting = Setting {
     unit: "Nm",
     what: "load at which the teeth lie on a flank with 76 % of the gap",
     low: 0.01,
-    high: 5.0,
+    high: 1.0,
     steps: 3,
     scale: Scale::Logarithmic,
 };

@@ -23,8 +23,8 @@ pub(super) const QUALITY: Setting = Setting {
     scale: Scale::Logarithmic,
 };
 
-/// Longest step of the integration \[s\]: a link of 1 kg m2 on a gap of 0.75 mrad per 0.05 Nm swings at 1.3 Hz, one of 0.05 kg m2 per 5 Nm
-/// at 60 Hz.
+/// Longest step of the integration \[s\]: a link of 1 kg m2 on a gap of 0.75 mrad per 0.05 Nm swings at 1.3 Hz, one of 0.05 kg m2 on
+/// 0.1 mrad/Nm at 71 Hz.
 const MAX_STEP_S: f64 = 1.1e-3;
 /// Most steps between two samples.
 const MAX_STEPS: u8 = 20;
