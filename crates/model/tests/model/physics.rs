@@ -122,7 +122,7 @@ fn a_position_error_shifts_the_motion() {
         let own: Vec<f64> = torque.column(i).iter().copied().collect();
         let through: Vec<f64> =
             own.iter().zip(&friction(&operating_point, &motion, i)).map(|(own, tau)| own + tau).collect();
-        let width = (0.5 * torque.column(i).amax()).min(5.0);
+        let width = (0.5 * torque.column(i).amax()).min(1.0);
         let twist = |load: &[f64]| load.iter().map(|tau| -tau).collect();
         let gap = |load: &[f64]| load.iter().map(|tau| -(tau / width).tanh()).collect();
         let cases = [
@@ -178,7 +178,7 @@ fn a_link_oscillates_on_its_gear() {
             continue;
         }
         // Flanks that are wide against the load: between sharp ones the link jumps.
-        let width = (0.5 * torque.column(i).amax()).min(5.0);
+        let width = (0.5 * torque.column(i).amax()).min(1.0);
         let (compliance, gap) = (5e-4, 5e-4 * width);
         let quality = 4.0;
         // Teeth give way, too.
