@@ -343,6 +343,15 @@ fn watched_at_500_hz(name: &str) -> (Place, Running, Running, Simulated) {
     (place, daemon, estimator, controller)
 }
 
+/// Log of the watch, once its last stretch ends later than this \[s\].
+fn log_beyond(end: f64, place: &Place) -> Value {
+    wait_for("the end of the log", || {
+        let log: Value = serde_json::from_str(&std::fs::read_to_string(place.out().join("live.json")).ok()?).ok()?;
+        let last = log["stretches"].as_array()?.last()?.get("end")?.as_f64()?;
+        (last > end).then_some(log)
+    })
+}
+
 #[test]
 fn the_payload_of_an_arm_at_500_hz_is_named_and_served_while_plumbline_listens() {
     let (place, daemon, estimator, mut controller) = watched_at_500_hz("guest-live");
@@ -369,12 +378,7 @@ fn the_payload_of_an_arm_at_500_hz_is_named_and_served_while_plumbline_listens()
         place.status().is_some_and(|now| now.served.followers.iter().all(|of| of.acknowledged == now.served.published))
     });
     place.quit(daemon);
-    let log = place.out().join("live.json");
-    let log = wait_for("the end of the log", || {
-        let log: Value = serde_json::from_str(&std::fs::read_to_string(&log).ok()?).ok()?;
-        let last = log["stretches"].as_array()?.last()?.get("end")?.as_f64()?;
-        (last > PICKED_UP + 28.0).then_some(log)
-    });
+    let log = log_beyond(PICKED_UP + 28.0, &place);
     signal(estimator.pid(), "TERM");
 
     let counts = place.report().guest.unwrap();
@@ -418,13 +422,8 @@ fn what_an_estimator_has_received_is_evaluated_though_the_daemon_has_ended() {
     controller.until(PICKED_UP + 4.0, &place);
     place.quit(daemon);
     signal(estimator.pid(), "CONT");
-    let log = place.out().join("live.json");
-    wait_for("the end of the log", || {
-        let log: Value = serde_json::from_str(&std::fs::read_to_string(&log).ok()?).ok()?;
-        let lost = log["events"].as_array()?.iter().any(|event| event["event"] == "lost");
-        let last = log["stretches"].as_array()?.last()?.get("end")?.as_f64()?;
-        (lost && last > PICKED_UP + 2.0).then_some(())
-    });
+    let log = log_beyond(PICKED_UP + 2.0, &place);
+    assert!(log["events"].as_array().unwrap().iter().any(|event| event["event"] == "lost"), "{log}");
     assert!(estimator.runs(), "an estimator waits for the next daemon");
     signal(estimator.pid(), "TERM");
 }

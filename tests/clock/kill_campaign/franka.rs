@@ -163,8 +163,8 @@ pub fn daemons(rounds: u32, seed: u64, kill: bool) -> Row {
                 let rest = rested.map(|rested| rested.as_secs_f64() * 1e3).filter(|_| moving);
                 return Ok(Some(Outcome { continued: false, up: None, rest }));
             }
-            settled.ok_or(format!("after {lasts:?} the daemon neither ends nor stops nor turns"))?;
-            let now = last.ok_or("the daemon went silent")?;
+            let now = last.filter(|_| settled.is_some());
+            let now = now.ok_or(format!("after {lasts:?} the daemon neither ends nor stops nor turns"))?;
             // Where the loop counts lost states, it stops and the status says why.
             if now.progress == Progress::Stopped {
                 now.stopped.ok_or(format!("after {lasts:?} the arm is stopped without a reason"))?;

@@ -81,7 +81,7 @@ fn of_body(operating_point: &OperatingPoint, site: Site, settings: &[f64]) -> Ar
 }
 
 fn swinging(operating_point: &OperatingPoint, site: Site, settings: &[f64]) -> Arc<dyn Term> {
-    let gear = Gear::Gap(settings[0], settings[1], settings[2]);
+    let gear = Gear::Gap { gap: settings[0], width: settings[1], compliance: settings[2] };
     Swing::term(&FAMILY, operating_point, site, settings, columns(operating_point, site), gear, settings[3])
 }
 

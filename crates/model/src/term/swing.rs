@@ -38,8 +38,9 @@ const DECAY_S: f64 = 0.8;
 /// Deflection of a gear.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Gear {
-    /// `theta = gap tanh(tau / width) + c tau`: half of the play \[rad\], torque at 76 % of it \[Nm\], compliance of teeth and shaft \[rad/Nm\].
-    Gap(f64, f64, f64),
+    /// `theta = gap tanh(tau / width) + compliance tau`: half of the play \[rad\], torque at 76 % of it \[Nm\], compliance of teeth and shaft
+    /// \[rad/Nm\].
+    Gap { gap: f64, width: f64, compliance: f64 },
     /// `theta = c tau`: compliance \[rad/Nm\].
     Spring(f64),
 }
@@ -48,7 +49,7 @@ impl Gear {
     /// Twist under a torque, and its slope.
     fn under(self, tau: f64) -> (f64, f64) {
         match self {
-            Gear::Gap(gap, width, compliance) => {
+            Gear::Gap { gap, width, compliance } => {
                 let flank = (tau / width).tanh();
                 (gap * flank + compliance * tau, gap / width * (1.0 - flank * flank) + compliance)
             }
@@ -59,7 +60,7 @@ impl Gear {
     /// Factor of the twist.
     fn size(self) -> f64 {
         match self {
-            Gear::Gap(size, ..) | Gear::Spring(size) => size,
+            Gear::Gap { gap: size, .. } | Gear::Spring(size) => size,
         }
     }
 }
