@@ -12,7 +12,7 @@ use plumbline_diagnose::outcome::Changes;
 use plumbline_diagnose::reference;
 use plumbline_diagnose::{Diagnosis, Effect, Input, OpenQuestions, Progress, Trial, Verdict, diagnose};
 use plumbline_identify::solve::{self, ols, stack::Stack};
-use plumbline_identify::{Experiment, Settings};
+use plumbline_identify::{ExcludedSpan, Experiment, Settings};
 use plumbline_model::term::Motion;
 use plumbline_model::{Robot, Structure, TorqueModel};
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -106,7 +106,10 @@ pub fn run(question: &Question) -> Result<Diagnosed, Failure> {
     let bar = progress::bar("diagnosing");
     bar.busy("preparing the runs");
     let (identify, variation, unseen) = prepared(question)?;
-    let notes: Vec<String> = identify.iter().chain(&unseen).filter_map(pipeline::settled).collect();
+    let mut notes: Vec<String> = identify.iter().chain(&unseen).filter_map(pipeline::settled).collect();
+    notes.extend(starts(&identify, question.unseen).into_iter().map(|ExcludedSpan { run, from, to }| {
+        format!("run {run}, {from:.2} to {to:.2} s: left out, for the motion of other runs does not repeat so early")
+    }));
     let (identify, unseen) = (trials(&identify, question.identify), trials(&unseen, question.unseen));
     let (veto, judge) = unseen.split_at(deciding(unseen.len()));
     let input = Input {
@@ -200,7 +203,8 @@ pub fn trials<'a>(experiments: &'a [Experiment], runs: &[&Run]) -> Vec<Trial<'a>
 fn prepared(question: &Question) -> Result<(Vec<Experiment>, Changing, Vec<Experiment>), Failure> {
     let settings = Settings { keep_periods: true, ..question.settings.clone() };
     let mut experiments = pipeline::for_estimator(question.identify, &settings, question.options)?;
-    let mut unseen = pipeline::experiments(question.unseen, &settings)?;
+    let leave_out = [settings.leave_out.clone(), starts(&experiments, question.unseen)].concat();
+    let mut unseen = pipeline::experiments(question.unseen, &Settings { leave_out, ..settings.clone() })?;
     let repeat = |experiment: &Experiment| experiment.repeats.is_some();
     let mut found = Changing::default();
     let mut plain = identified(question.structure, &experiments)?;
@@ -235,6 +239,14 @@ fn prepared(question: &Question) -> Result<(Vec<Experiment>, Changing, Vec<Exper
         experiments.iter_mut().chain(&mut unseen).for_each(|experiment| experiment.repeats = None);
     }
     Ok((experiments, found, unseen))
+}
+
+/// Starts of unseen runs that do not repeat, as long as the longest in which the motion of an identified one did not repeat yet: no controller follows there, and
+/// nothing is known of what a gear or friction did before.
+fn starts(identified: &[Experiment], unseen: &[&Run]) -> Vec<ExcludedSpan> {
+    let to = identified.iter().map(|experiment| experiment.settling).fold(0.0, f64::max);
+    let runs = unseen.iter().filter(|run| to > 0.0 && run.data.period.is_none());
+    runs.map(|run| ExcludedSpan { run: run.data.name.clone(), from: 0.0, to }).collect()
 }
 
 /// What differs between the periods of runs that follow their own motion, by their plain model.

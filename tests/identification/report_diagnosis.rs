@@ -55,7 +55,6 @@ fn diagnosed() -> Diagnosis {
     let after = FLOOR.map(|floor| 1.01 * floor);
     let change: Vec<f64> = after.iter().zip(&before).map(|(after, before)| after - before).collect();
     let joint = |j: usize| JointFacts {
-        floor_of_period: Some(0.02),
         noise: Some(FLOOR[j]),
         floor_of_mean: Some(FLOOR[j] / 7.0),
         lack_of_fit: BeforeAfter { before: Some(if j == 3 { 60.0 } else { 1.1 }), after: Some(1.05) },

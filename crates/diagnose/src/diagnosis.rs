@@ -9,7 +9,7 @@ use super::deviations::Deviations;
 use super::disagreement::{Disagreements, disagreements};
 use super::empirical::{Learned, Learning};
 use super::errors::Of;
-use super::evidence::{Evidence, LOW_BANDS, Trial};
+use super::evidence::{Evidence, Trial};
 use super::fallback::{self, Residual};
 use super::figures::Curves;
 use super::fit::{MIN_INDEPENDENCE_RATIO, Problem};
@@ -408,7 +408,6 @@ fn facts(evidence: &Evidence, settings: &Settings, joint: usize, base: &State, a
     let both = |of: &dyn Fn(&State) -> f64| BeforeAfter::both([base, after].map(of));
     JointFacts {
         floor_of_mean: floor,
-        floor_of_period: evidence.floor_of_a_period_below(joint, LOW_BANDS),
         rms: both(&|state| state.mean_square(evidence, joint).sqrt()),
         unmodelled: both(&|state| state.unmodelled(evidence, joint).sqrt()),
         lack_of_fit: floor.map_or(BeforeAfter::default(), |_| both(&ratio)),

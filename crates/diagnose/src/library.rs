@@ -110,9 +110,12 @@ pub fn library(
     threads: usize,
 ) -> Vec<Candidate> {
     // A law of another joint's motion fits much that has no name, and unknown noise does not tell the two apart.
-    let plausible = |family: &Family, site: Site| match site {
+    let plausible = |family: &Family, form: &Form, site: Site| match site {
         Site::Pair { row, cause } if family.rare.between_coupled && !evidence.repeats() => {
             operating_point.chain.are_coupled(row, cause)
+        }
+        Site::Joint(joint) if form.name == family.rare.with_rotor && !form.name.is_empty() => {
+            operating_point.rotors[joint]
         }
         _ => true,
     };
@@ -124,11 +127,11 @@ pub fn library(
 }
 
 /// Every form of families at every site of an arm that passes, at every start value of its settings.
-pub fn specs(families: &[&'static Family], joints: usize, passes: impl Fn(&Family, Site) -> bool) -> Vec<Spec> {
+pub fn specs(families: &[&'static Family], joints: usize, passes: impl Fn(&Family, &Form, Site) -> bool) -> Vec<Spec> {
     let mut specs = Vec::new();
     for family in families {
-        for site in family.place.sites(joints).into_iter().filter(|site| passes(family, *site)) {
-            for form in family.forms {
+        for site in family.place.sites(joints) {
+            for form in family.forms.iter().filter(|form| passes(family, form, site)) {
                 specs.extend(grid(family, form, site));
             }
         }

@@ -6,7 +6,7 @@ use super::expression::six_digits;
 use super::gravity::Mounting;
 use super::term::effect::{EffectError, FAMILIES, OperatingPoint};
 use super::term::load::Load;
-use super::term::{self, Column, Motion, Term, rigid_body, subset::Subset};
+use super::term::{self, Column, Motion, Term, rigid_body, rotor_inertia, subset::Subset};
 use nalgebra::{DMatrix, DVector};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -220,7 +220,12 @@ impl Structure {
         let known: Vec<[Option<f64>; 2]> = (1..=self.chain.len()).map(joint).collect();
         let any = known.iter().flatten().any(Option::is_some);
         let friction = known.iter().filter(|_| any).map(|joint| joint.map(Option::unwrap_or_default)).collect();
-        OperatingPoint { chain: self.chain.clone(), load: Arc::new(load), friction }
+        // Where torques contain the rotors, one without a column of its own has been absorbed.
+        let rotor = |term: &&Arc<dyn Term>| term.id() == rotor_inertia::ID;
+        let own: Option<Vec<Column>> = self.terms.iter().find(rotor).map(|term| term.columns());
+        let absorbed = |joint: usize| own.as_ref().is_some_and(|own| own.iter().all(|column| column.joint != joint));
+        let rotors = (1..=self.chain.len()).map(absorbed).collect();
+        OperatingPoint { chain: self.chain.clone(), load: Arc::new(load), friction, rotors }
     }
 
     /// Without the columns that `keep` rejects, except those of the rigid body. Their parameters are zero.

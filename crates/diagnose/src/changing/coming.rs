@@ -40,7 +40,7 @@ pub(super) struct Coming {
 
 /// Every effect that may come suddenly, at every site, in every run.
 pub(super) fn all(records: &[Record], operating_point: &OperatingPoint) -> Vec<Coming> {
-    let specs = specs(&sudden(), operating_point.chain.len(), |_, _| true);
+    let specs = specs(&sudden(), operating_point.chain.len(), |_, _, _| true);
     let each = specs.iter().flat_map(|spec| (0..records.len()).map(move |run| (run, spec.clone())));
     each.filter_map(|(run, spec)| Coming::of(run, &records[run], spec, operating_point)).collect()
 }

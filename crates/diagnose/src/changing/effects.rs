@@ -1,7 +1,6 @@
 //! What differs from period to period as effects, notes and data quality of a diagnosis.
 
 use super::{BaseMotion, Changing, Contact, Course, Drift, Drifting, Hygiene, Shared, Step};
-use crate::evidence::{BAND_EDGES_HZ, LOW_BANDS};
 use crate::outcome::{Acts, Diagnosis, Effect, Folds, JointFacts, Parameters, Quantity, Verdict, places};
 use plumbline_model::term::{base_motion, contact};
 
@@ -15,34 +14,32 @@ pub const AT_THE_END: &str =
     "the parameters are those of the arm at the recording's end: what drifts through it is taken off";
 
 impl Changing {
-    /// Adds the findings to a diagnosis. An effect counts for the verdict from a share `least_floor` of the noise of the mean periods on, or
-    /// from `threshold` \[Nm\] where that is given.
+    /// Adds the findings to a diagnosis. A step has to have a share `least_floor` of the noise of the mean periods, and every finding but a contact
+    /// `threshold` \[Nm\] where that is given; what has less is left out.
     pub fn add_to(&self, diagnosis: &mut Diagnosis, least_floor: f64, threshold: Option<f64>) {
         let contacts: Vec<&Contact> = self.contacts.iter().filter(|contact| !self.dates(contact, diagnosis)).collect();
         let joints = &diagnosis.joints;
-        let matters_above = |rms: &[f64], floor: fn(&JointFacts) -> Option<f64>| {
+        let matters = |rms: &[f64]| {
             let enough = |(rms, facts): (&f64, &JointFacts)| {
-                let least = threshold.or(floor(facts).map(|floor| least_floor * floor));
+                let least = threshold.or(facts.floor_of_mean.map(|floor| least_floor * floor));
                 least.is_none_or(|least| *rms >= least)
             };
             rms.iter().zip(joints).any(enough)
         };
-        let matters = |rms: &[f64]| matters_above(rms, |facts| facts.floor_of_mean);
-        // Coarse encoders have noise at higher frequencies that would hide what spoils slow motion.
-        let matters_below = |line: &BaseMotion| {
-            line.frequency <= BAND_EDGES_HZ[LOW_BANDS - 1] && matters_above(&line.rms, |facts| facts.floor_of_period)
-        };
-        let lines = lines(&self.base_motions);
+        let wanted = |rms: &[f64]| threshold.is_none_or(|least| rms.iter().any(|rms| *rms >= least));
+        let drifts: Vec<&Drift> = self.drifts.iter().filter(|drift| wanted(&drift.rms)).collect();
+        let mut lines = lines(&self.base_motions);
+        lines.retain(|(line, _)| wanted(&line.rms));
         let significant = !contacts.is_empty()
-            || self.drifts.iter().any(|drift| matters(&drift.rms))
-            || lines.iter().any(|(line, _)| matters(&line.rms) || matters_below(line))
+            || !drifts.is_empty()
+            || !lines.is_empty()
             || self.steps.iter().any(|step| matters(&step.rms));
         diagnosis.verdict = match (diagnosis.verdict, significant) {
             (Verdict::NothingSignificant | Verdict::NotDetermined, true) => Verdict::Diagnosed,
             (Verdict::Unexplained, true) => Verdict::Partly,
             (verdict, _) => verdict,
         };
-        for drift in &self.drifts {
+        for drift in drifts {
             let mut effect = self.drift(drift);
             // What one run has more than the one before is of the same cause.
             let same = |own: &mut Effect| own.acts.is_some() && effect.goes_on_as(own);

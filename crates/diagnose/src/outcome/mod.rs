@@ -248,9 +248,6 @@ pub struct JointFacts {
     pub noise: Option<f64>,
     /// Noise of the mean period in that band \[Nm\].
     pub floor_of_mean: Option<f64>,
-    /// Noise of one period below 4 Hz, as errors are reported \[Nm\].
-    #[serde(default)]
-    pub floor_of_period: Option<f64>,
     /// Lack of fit: power of the residual's mean period over what noise alone would leave there; 1 where the model lacks nothing.
     pub lack_of_fit: BeforeAfter,
     /// RMS of the residual's mean period in that band \[Nm\].

@@ -4,7 +4,7 @@ use super::all_rows::*;
 use super::family::*;
 use super::one_row::{column, unit};
 use super::position_error::PositionError;
-use super::swing::{Gear, QUALITY, SWINGING, Swing};
+use super::swing::{Gear, QUALITY, ROTOR, SWINGING, Swing, WITH_ROTOR};
 use super::{Column, Expected, Sample};
 use plumbline_core::JointVec;
 
@@ -30,6 +30,14 @@ pub static FAMILY: Family = Family {
             in_c: REFUSED_MEMORY,
             plot_over: PlotOver::Load,
         },
+        Form {
+            name: WITH_ROTOR,
+            equation: "tau = gap_i (lin_i(-theta) + ia_i ddtheta) / g, theta = g tanh(s / width) + c s, s = tau_i - d dtheta, d = sqrt((M_ii - ia_i) / (dtheta/ds)) / quality, tau_i = tau_rb_i(q - theta) - ia_i (ddq_i - ddtheta) + f_i(dq_i - dtheta), ia_i = rotor M_ii(0): as swinging, where the rigid body has absorbed the inertia of a rotor",
+            settings: &[HALF_GAP, FLANK_WIDTH, COMPLIANCE, QUALITY, ROTOR],
+            build: with_rotor,
+            in_c: REFUSED_MEMORY,
+            plot_over: PlotOver::Load,
+        },
     ],
     stratum: Stratum::Repeatable,
     typical: "half a gap of 0.1 to 1.5 mrad",
@@ -38,7 +46,7 @@ pub static FAMILY: Family = Family {
         confounded("joint-elasticity", "pass through poses without load in several runs"),
     ],
     reference: "Nordin, Gutman, Automatica 38 (2002)",
-    rare: Rare::NONE,
+    rare: Rare { with_rotor: WITH_ROTOR, ..Rare::NONE },
 };
 
 const HALF_GAP: Setting = Setting {
@@ -81,8 +89,16 @@ fn of_body(operating_point: &OperatingPoint, site: Site, settings: &[f64]) -> Ar
 }
 
 fn swinging(operating_point: &OperatingPoint, site: Site, settings: &[f64]) -> Arc<dyn Term> {
+    swing(SWINGING, operating_point, site, settings)
+}
+
+fn with_rotor(operating_point: &OperatingPoint, site: Site, settings: &[f64]) -> Arc<dyn Term> {
+    swing(WITH_ROTOR, operating_point, site, settings)
+}
+
+fn swing(form: &'static str, operating_point: &OperatingPoint, site: Site, settings: &[f64]) -> Arc<dyn Term> {
     let gear = Gear::Gap { gap: settings[0], width: settings[1], compliance: settings[2] };
-    Swing::term(&FAMILY, operating_point, site, settings, columns(operating_point, site), gear, settings[3])
+    Swing::term(&FAMILY, form, operating_point, site, settings, columns(operating_point, site), gear)
 }
 
 fn columns(operating_point: &OperatingPoint, site: Site) -> Vec<Column> {

@@ -5,7 +5,7 @@ use super::carried::CarriedFriction;
 use super::family::*;
 use super::one_row::{column, unit};
 use super::position_error::PositionError;
-use super::swing::{Gear, QUALITY, SWINGING, Swing};
+use super::swing::{Gear, QUALITY, ROTOR, SWINGING, Swing, WITH_ROTOR};
 use super::{Column, Expected, Sample};
 use plumbline_core::JointVec;
 
@@ -48,6 +48,14 @@ pub static FAMILY: Family = Family {
             in_c: REFUSED_MEMORY,
             plot_over: PlotOver::Load,
         },
+        Form {
+            name: WITH_ROTOR,
+            equation: "tau = c_i (lin_i(-theta) + ia_i ddtheta) / c, theta = c (tau_i - sqrt((M_ii - ia_i) / c) / quality dtheta), tau_i = tau_rb_i(q - theta) - ia_i (ddq_i - ddtheta) + f_i(dq_i - dtheta), ia_i = rotor M_ii(0): as swinging, where the rigid body has absorbed the inertia of a rotor",
+            settings: &[COMPLIANCE, QUALITY, ROTOR],
+            build: with_rotor,
+            in_c: REFUSED_MEMORY,
+            plot_over: PlotOver::Load,
+        },
     ],
     stratum: Stratum::Repeatable,
     typical: "5e-5 to 2e-4 rad/Nm",
@@ -56,7 +64,7 @@ pub static FAMILY: Family = Family {
         confounded("lx and ly of the same link", "log the position on both sides of the gear"),
     ],
     reference: "Albu-Schaeffer, Ott, Hirzinger, Int. J. Robotics Research 26 (2007)",
-    rare: Rare::NONE,
+    rare: Rare { with_rotor: WITH_ROTOR, ..Rare::NONE },
 };
 
 const COMPLIANCE: Setting = Setting {
@@ -78,8 +86,16 @@ fn with_friction(operating_point: &OperatingPoint, site: Site, settings: &[f64])
 }
 
 fn swinging(operating_point: &OperatingPoint, site: Site, settings: &[f64]) -> Arc<dyn Term> {
+    swing(SWINGING, operating_point, site, settings)
+}
+
+fn with_rotor(operating_point: &OperatingPoint, site: Site, settings: &[f64]) -> Arc<dyn Term> {
+    swing(WITH_ROTOR, operating_point, site, settings)
+}
+
+fn swing(form: &'static str, operating_point: &OperatingPoint, site: Site, settings: &[f64]) -> Arc<dyn Term> {
     let gear = Gear::Spring(settings[0]);
-    Swing::term(&FAMILY, operating_point, site, settings, columns(operating_point, site), gear, settings[1])
+    Swing::term(&FAMILY, form, operating_point, site, settings, columns(operating_point, site), gear)
 }
 
 fn columns(operating_point: &OperatingPoint, site: Site) -> Vec<Column> {

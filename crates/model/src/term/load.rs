@@ -69,6 +69,8 @@ pub struct OperatingPoint {
     pub load: Arc<Load>,
     /// `[fv, fc]` of each joint: \[Nms/rad\], \[Nm\]. Empty where the model has no friction.
     pub friction: Vec<[f64; 2]>,
+    /// Whether the inertia of each joint's rotor is a part of its rigid body's.
+    pub rotors: Vec<bool>,
 }
 
 impl OperatingPoint {

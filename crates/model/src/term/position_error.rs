@@ -44,6 +44,13 @@ impl PositionError {
         torque.get(self.joint).copied().unwrap_or_default()
     }
 
+    /// `M_ii` where all joints are at zero \[Nm s2/rad\].
+    pub fn inertia_at_zero(&mut self) -> f64 {
+        let rest = Sample { q: JointVec::default(), dq: JointVec::default(), ddq: JointVec::default() };
+        let own = self.own(&rest);
+        self.inertia(&rest, own)
+    }
+
     /// `M_ii`: slope of the joint's torque, here `own`, over its acceleration \[Nm s2/rad\]. Exact, since the torque is linear in it.
     pub fn inertia(&mut self, sample: &Sample, own: f64) -> f64 {
         let mut faster = *sample;

@@ -12,6 +12,20 @@ use std::sync::Arc;
 /// Name of the forms with the resonance of the link on the gear.
 pub(super) const SWINGING: &str = "swinging";
 
+/// The same where the joint's identified inertia is the link's and the rotor's: no torque of the rotor goes through the gear.
+pub(super) const WITH_ROTOR: &str = "swinging-rotor";
+
+/// Inertia of the rotor in the identified one.
+pub(super) const ROTOR: Setting = Setting {
+    name: "rotor",
+    unit: "1",
+    what: "inertia of the rotor over that of the joint at q = 0",
+    low: 0.0,
+    high: 0.9,
+    steps: 1,
+    scale: Scale::Linear,
+};
+
 /// Quality factor of the resonance, `1 / (2 zeta)`. A search starts well damped, where the response depends least on the compliance.
 pub(super) const QUALITY: Setting = Setting {
     name: "quality",
@@ -71,7 +85,8 @@ impl Gear {
 ///   tau = tau_rb_i(q - theta) + f_i(dq_i - dtheta)
 ///       = tau_rb_i(q) - K_i theta - V_i dtheta - M_ii ddtheta + f_i(dq_i - dtheta),
 ///
-/// with the friction `f_i` behind the gear and a damping `d` in it, that of teeth which touch: between the flanks of a gap there is hardly any.
+/// where a rotor of inertia `ia` that the rigid body has absorbed is taken off: `tau_rb_i - ia ddq_i`, `M_ii - ia`. With
+/// the friction `f_i` behind the gear and a damping `d` in it, that of teeth which touch: between the flanks of a gap there is hardly any.
 /// Without damping the law has a pole at the link's resonance on a motor at rest, where the measured motion is mostly noise. The one column is the change of all rows by the twist, per gap or compliance.
 ///
 /// Backward differences of second order make each step one scalar equation in `tau`, whose left side rises with a slope of at least one.
@@ -81,6 +96,8 @@ pub(super) struct Swing {
     friction: CarriedFriction,
     gear: Gear,
     quality: f64,
+    /// Inertia of the rotor that is part of `M_ii` \[kg m2\].
+    rotor: f64,
     past: Past,
     /// Torque that twists the gear \[Nm\].
     tau: f64,
@@ -93,25 +110,33 @@ pub(super) struct Swing {
 }
 
 impl Swing {
-    /// The term of an effect with one column; initial state at rest without load.
+    /// The term of an effect with one column; initial state at rest without load. Its last settings are those of the resonance: [`QUALITY`], and
+    /// [`ROTOR`] in the form [`WITH_ROTOR`].
     pub fn term(
         family: &'static Family,
+        form: &'static str,
         operating_point: &OperatingPoint,
         site: Site,
         settings: &[f64],
         columns: Vec<Column>,
         gear: Gear,
-        quality: f64,
     ) -> Arc<dyn Term> {
         let (joint, friction, load) =
             (joint(site), CarriedFriction::of(operating_point), Arc::clone(&operating_point.load));
-        AllRows::term(family, SWINGING, site, settings, columns, move |gravity| {
-            let error = PositionError { joint, load: load.under(gravity) };
+        let [quality, rotor] = match (form, settings) {
+            (WITH_ROTOR, &[.., quality, rotor]) => [quality, rotor],
+            (_, &[.., quality]) => [quality, 0.0],
+            _ => [QUALITY.low, 0.0],
+        };
+        AllRows::term(family, form, site, settings, columns, move |gravity| {
+            let mut error = PositionError { joint, load: load.under(gravity) };
+            let rotor = rotor * error.inertia_at_zero();
             Swing {
                 error,
                 friction,
                 gear,
                 quality,
+                rotor,
                 past: Past::default(),
                 tau: 0.0,
                 rise: 0.0,
@@ -175,8 +200,9 @@ impl Law for Swing {
     fn at(&mut self, sample: &Sample, clock: &Clock, columns: &mut [JointVec]) {
         let (joint, size) = (self.error.joint, self.gear.size());
         let (Some(&dq), Some(column)) = (sample.dq.get(joint), columns.first_mut()) else { return };
-        let load = self.error.own(sample);
-        let inertia = self.error.inertia(sample, load);
+        let own = self.error.own(sample);
+        let inertia = self.error.inertia(sample, own) - self.rotor;
+        let load = own - self.rotor * sample.ddq[joint];
         let [load_before, dq_before] = self.before.replace([load, dq]).unwrap_or([load, dq]);
         let steps = ((clock.dt / MAX_STEP_S).ceil() as u8).clamp(1, MAX_STEPS);
         let friction = self.friction;
@@ -197,6 +223,8 @@ impl Law for Swing {
         }
         *column = self.error.signature(sample, mean.map(|value| -value / size));
         let Some(own) = column.get_mut(joint) else { return };
+        // The rotor turns with the encoder.
+        *own += self.rotor * mean[2] / size;
         self.slow = -size * *own - inertia * mean[2];
         *own += rubbed / size;
     }

@@ -5,6 +5,8 @@ use plumbline_model::term::effect::{
     Confounded, FAMILIES, InBodies, InC, Inputs, Place, PlotOver, Site, Stratum, assemble, family,
 };
 use plumbline_model::term::payload;
+use plumbline_model::{Reduction, Structure};
+use plumbline_testkit::arms::chain;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use std::collections::BTreeSet;
@@ -121,4 +123,16 @@ fn columns_of_different_effects_have_different_names() {
         assert_eq!(columns[1].name, format!("ripple4_n{n}_cos"));
         assert!(columns.iter().all(|column| names.insert(column.name.clone())));
     }
+}
+
+/// Torques of the motors' side contain the rotors; the first two of a Panda are no parameters of their own, and one that the torques do not contain is nowhere.
+#[test]
+fn rotors_that_have_no_parameter_of_their_own_are_in_the_rigid_body() {
+    let chain = chain("panda");
+    let rotors = |terms: &[&str]| {
+        let structure = Structure::of(chain.clone(), Reduction::any_mounting(&chain), terms).unwrap().identifiable();
+        structure.operating_point(&vec![0.1; structure.columns().len()]).rotors
+    };
+    assert_eq!(rotors(&["friction", "rotor-inertia"]), [true, true, false, false, false, false, false]);
+    assert_eq!(rotors(&["friction"]), [false; 7]);
 }

@@ -244,11 +244,30 @@ fn without_repeats_coupled_gears_are_searched_only_where_the_robot_file_has_them
     let free = once(20.0, 1, constant(0.0));
     assert_eq!(sites(&free), 0);
     free.search(&coupling, &settings, |search, base| {
-        let OperatingPoint { chain, load, friction } = search.operating_point;
+        let OperatingPoint { chain, load, friction, rotors } = search.operating_point;
         let chain = chain.clone().with_coupled(vec![[1, 0]]);
-        let coupled = OperatingPoint { chain, load: load.clone(), friction: friction.clone() };
+        let coupled = OperatingPoint { chain, load: load.clone(), friction: friction.clone(), rotors: rotors.clone() };
         let evidence = search.problem.evidence;
         assert!(!plumbline_diagnose::library(evidence, &coupled, &coupling, Span::ALL, 1).is_empty(), "{}", base.base);
+    });
+}
+
+#[test]
+fn a_rotor_is_searched_where_the_rigid_body_has_absorbed_one() {
+    let elastic: [&'static Family; 1] = [&joint_elasticity::FAMILY];
+    recorded(4, 1, constant(0.0)).search(&elastic, &Settings::default(), |search, base| {
+        let OperatingPoint { chain, load, friction, rotors } = search.operating_point;
+        assert_eq!(rotors, &[false; 2], "{}", base.base);
+        let with = |rotors: Vec<bool>| {
+            let (chain, load, friction) = (chain.clone(), load.clone(), friction.clone());
+            let operating_point = OperatingPoint { chain, load, friction, rotors };
+            let library =
+                plumbline_diagnose::library(search.problem.evidence, &operating_point, &elastic, Span::ALL, 1);
+            let tried = library.iter().filter(|item| item.spec.form == "swinging-rotor");
+            tried.map(|item| item.spec.site).collect::<std::collections::BTreeSet<_>>()
+        };
+        assert!(with(vec![false; 2]).is_empty());
+        assert_eq!(with(vec![false, true]).into_iter().collect::<Vec<_>>(), [Site::Joint(1)]);
     });
 }
 
