@@ -241,11 +241,11 @@ fn prepared(question: &Question) -> Result<(Vec<Experiment>, Changing, Vec<Exper
     Ok((experiments, found, unseen))
 }
 
-/// Starts of unseen runs that do not repeat, as long as the longest in which the motion of an identified one did not repeat yet: no controller follows there, and
-/// nothing is known of what a gear or friction did before.
+/// Starts of unseen runs that do not repeat, for as long as the motion of no identified one repeated: no controller follows there, and nothing is known of what a
+/// gear or friction did before.
 fn starts(identified: &[Experiment], unseen: &[&Run]) -> Vec<ExcludedSpan> {
-    let to = identified.iter().map(|experiment| experiment.settling).fold(0.0, f64::max);
-    let runs = unseen.iter().filter(|run| to > 0.0 && run.data.period.is_none());
+    let to = identified.iter().map(|experiment| experiment.settling).fold(f64::INFINITY, f64::min);
+    let runs = unseen.iter().filter(|run| to > 0.0 && to.is_finite() && run.data.period.is_none());
     runs.map(|run| ExcludedSpan { run: run.data.name.clone(), from: 0.0, to }).collect()
 }
 

@@ -8,6 +8,7 @@ use super::outcome;
 use super::rows::Rows;
 use super::state::{State, Tried, mean_square_below};
 use nalgebra::DVector;
+use plumbline_model::term::effect::Site;
 
 /// A fold is informative between these shares of the fitted effect's energy: below, the effect hardly shows in it; above, it is the only fold
 /// in which the effect shows.
@@ -232,6 +233,8 @@ pub struct Relevance {
     /// RMS and share in the low bands alone, per joint. Noise that grows with the frequency, as that of an encoder's steps does, would hide
     /// there what spoils the torque of every slow motion.
     pub low: Vec<(f64, f64)>,
+    /// Whether it is one effect of the whole arm, whose torques in all joints count together.
+    pub of_arm: bool,
 }
 
 /// Measures it.
@@ -239,7 +242,7 @@ pub fn relevance(evidence: &Evidence, state: &State, tried: &Tried, item: &Candi
     let change = change(state, tried);
     let own = state.fit.theta.len();
     let (shift, gamma) = (change.rows(0, own), change.rows(own, change.len() - own));
-    let mut found = Relevance::default();
+    let mut found = Relevance { of_arm: item.spec.site == Site::Arm, ..Relevance::default() };
     let mut worth = Vec::new();
     let without = if tried.held { tried.fit.theta.rows(0, own).into_owned() } else { state.fit.theta.clone() };
     for joint in 0..evidence.joints() {
@@ -274,18 +277,25 @@ pub fn relevance(evidence: &Evidence, state: &State, tried: &Tried, item: &Candi
 }
 
 /// Whether an effect is worth a term in the model: in one joint it removes a share of what is unmodelled, and its torque exceeds a share of the
-/// noise of the mean period; or so in the low bands, in the noise of one period, as errors are measured and reported run by run.
+/// noise of the mean period; or so in the low bands, in the noise of one period, as errors are measured and reported run by run. Of an effect of the whole arm
+/// the torques over these shares of the noise are summed as squares.
 pub fn matters(evidence: &Evidence, found: &Relevance, settings: &super::Settings) -> bool {
     let share = if evidence.repeats() { settings.least_share } else { settings.least_share_of_all };
-    let enough = |floor: Option<f64>, (rms, explained): (f64, f64)| {
+    // Size in units of what is enough.
+    let size = |floor: Option<f64>, (rms, explained): (f64, f64)| {
         let least = settings.threshold.or(floor.map(|floor| settings.least_floor * floor)).unwrap_or(0.0);
-        rms >= least && explained >= share
+        if explained < share { 0.0 } else if least > 0.0 { rms / least } else { 1.0 }
     };
     // Also a joint that it does not act in: the base parameters may have taken it over, and spoil the torque there.
-    (0..evidence.joints()).any(|joint| {
-        enough(evidence.floor(joint), (found.rms[joint], found.share[joint]))
-            || enough(evidence.floor_of_a_period_below(joint, LOW_BANDS), found.low[joint])
-    })
+    let joints = 0..evidence.joints();
+    let all = joints.clone().map(|joint| size(evidence.floor(joint), (found.rms[joint], found.share[joint])));
+    let low = joints.map(|joint| size(evidence.floor_of_a_period_below(joint, LOW_BANDS), found.low[joint]));
+    let together = settings.threshold.is_none() && found.of_arm;
+    let enough = |sizes: Vec<f64>| match together {
+        true => sizes.iter().map(|size| size * size).sum::<f64>() >= 1.0,
+        false => sizes.iter().any(|size| *size >= 1.0),
+    };
+    enough(all.collect()) || enough(low.collect())
 }
 
 /// Whether the encoder shows an effect of this size: a displacement within one of its steps can't be told from its rounding, which repeats in
