@@ -284,7 +284,13 @@ pub fn matters(evidence: &Evidence, found: &Relevance, settings: &super::Setting
     // Size in units of what is enough.
     let size = |floor: Option<f64>, (rms, explained): (f64, f64)| {
         let least = settings.threshold.or(floor.map(|floor| settings.least_floor * floor)).unwrap_or(0.0);
-        if explained < share { 0.0 } else if least > 0.0 { rms / least } else { 1.0 }
+        if explained < share {
+            0.0
+        } else if least > 0.0 {
+            rms / least
+        } else {
+            1.0
+        }
     };
     // Also a joint that it does not act in: the base parameters may have taken it over, and spoil the torque there.
     let joints = 0..evidence.joints();

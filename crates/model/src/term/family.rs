@@ -47,6 +47,13 @@ pub struct Form {
     pub plot_over: PlotOver,
 }
 
+impl Form {
+    /// Whether its law approximates what friction or a gear does: one with nonlinear parameters, of velocity or load.
+    pub fn is_approximate(&self) -> bool {
+        matches!(self.plot_over, PlotOver::Velocity | PlotOver::Load) && !self.settings.is_empty()
+    }
+}
+
 /// Builds a term with a column for every joint of the arm.
 pub type WholeArm = fn(&Chain) -> Arc<dyn Term>;
 

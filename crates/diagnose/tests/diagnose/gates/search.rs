@@ -159,7 +159,13 @@ fn an_effect_counts_from_its_share_of_the_noise_and_of_what_is_unmodelled_on() {
         let evidence = search.problem.evidence;
         let floor = evidence.floor(1).unwrap();
         let matters = |rms: f64, share: f64, settings: &Settings| {
-            let found = Relevance { rms: vec![1e3, rms], share: vec![0.1, share], joint: 1, low: vec![(0.0, 0.0); 2], of_arm: false };
+            let found = Relevance {
+                rms: vec![1e3, rms],
+                share: vec![0.1, share],
+                joint: 1,
+                low: vec![(0.0, 0.0); 2],
+                of_arm: false,
+            };
             plumbline_diagnose::matters(evidence, &found, settings)
         };
         assert!(matters(0.71 * floor, 0.16, &settings));
@@ -182,7 +188,13 @@ fn an_effect_counts_from_its_share_of_the_noise_and_of_what_is_unmodelled_on() {
     });
     once(20.0, 6, |_| [0.0; 2]).search(&OFFSET, &settings, |search, _| {
         let matters = |share: f64| {
-            let found = Relevance { rms: vec![0.0, 1e-6], share: vec![0.0, share], joint: 1, low: vec![(0.0, 0.0); 2], of_arm: false };
+            let found = Relevance {
+                rms: vec![0.0, 1e-6],
+                share: vec![0.0, share],
+                joint: 1,
+                low: vec![(0.0, 0.0); 2],
+                of_arm: false,
+            };
             plumbline_diagnose::matters(search.problem.evidence, &found, &settings)
         };
         assert!(matters(0.031) && !matters(0.029), "without repeats 3 % of the whole residual");
@@ -382,8 +394,13 @@ fn an_effect_of_several_joints_belongs_to_the_one_whose_noise_it_exceeds_most() 
                 assert!(found.rms[larger] > 1.2 * found.rms[1 - larger]);
                 assert_eq!(found.joint, larger, "{found:?}");
                 // It matters where it matters in one of its joints.
-                let in_one =
-                    Relevance { rms: vec![0.0, 1.0], share: vec![0.0, 1.0], joint: 1, low: vec![(0.0, 0.0); 2], of_arm: false };
+                let in_one = Relevance {
+                    rms: vec![0.0, 1.0],
+                    share: vec![0.0, 1.0],
+                    joint: 1,
+                    low: vec![(0.0, 0.0); 2],
+                    of_arm: false,
+                };
                 assert!(plumbline_diagnose::matters(search.problem.evidence, &in_one, &Settings::default()));
             },
         );
