@@ -263,3 +263,54 @@ fn identified(structure: &Structure, experiments: &[Experiment]) -> Result<Torqu
     let values: Vec<(f64, Option<f64>)> = plain.beta.iter().map(|value| (*value, None)).collect();
     TorqueModel::new("", structure.clone(), Vec::new(), &values).map_err(Failure::job)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::dataset::Role;
+    use nalgebra::DMatrix;
+    use plumbline_model::Mounting;
+
+    /// Sines of all joints for 16 s; the first joint starts 10 mrad off, which decays within `decay` \[s\].
+    fn sines(name: &str, joints: usize, decay: f64, period: Option<f64>) -> Run {
+        let t: Vec<f64> = (0..16_000).map(|k| k as f64 * 1e-3).collect();
+        let tick = |k: usize| ((k * k) as f64 * 0.618_034).fract() - 0.5;
+        let q = DMatrix::from_fn(t.len(), joints, |k, j| {
+            let start = if j == 0 && decay > 0.0 { 0.01 * (-t[k] / decay).exp() } else { 0.0 };
+            (std::f64::consts::PI * (j + 1) as f64 * t[k]).sin() + 1e-5 * tick(k + 7 * j) + start
+        });
+        let tau = DMatrix::from_fn(t.len(), joints, |k, j| q[(k, j)] + tick(k + 3 * j));
+        let data = plumbline_identify::Run { name: name.into(), t, q, dq: None, tau, mounting: Mounting::WALL, period };
+        Run::new(data, if period.is_some() { Role::Identify } else { Role::Validate })
+    }
+
+    #[test]
+    fn an_unseen_run_that_does_not_repeat_counts_from_where_the_identified_ones_repeat() {
+        let robot = Robot::load("panda", None).unwrap();
+        let structure = crate::setup::friction_structure(&robot, &Mounting::WALL);
+        let n = robot.chain.len();
+        let [soon, late] = [0.05, 0.1].map(|decay| sines("identified", n, decay, Some(2.0)));
+        let (settled, unseen) = (sines("settled", n, 0.0, Some(2.0)), sines("unseen", n, 0.1, None));
+        let left_out = |identify: &[&Run]| {
+            let question = Question {
+                robot: &robot,
+                structure: &structure,
+                identify,
+                unseen: &[&unseen],
+                settings: &Settings::default(),
+                options: &solve::Options::default(),
+                diagnosis: &plumbline_diagnose::Settings::default(),
+                of: Of::Filtered,
+            };
+            let (identified, _, unseen) = prepared(&question).unwrap();
+            let edge = unseen[0].motion.start;
+            let out = unseen[0].resting().iter().take_while(|out| **out).count();
+            let least = identified.iter().map(|one| one.settling).fold(f64::INFINITY, f64::min);
+            (least, if out > 0 { edge + out as f64 * unseen[0].motion.dt } else { 0.0 })
+        };
+        let (least, out) = left_out(&[&soon, &late]);
+        assert!(least > 0.2 && (out - least).abs() < 2e-3, "{out} {least}");
+        assert!(least < left_out(&[&late]).0, "of several runs the one that repeats first");
+        assert_eq!(left_out(&[&soon, &settled]), (0.0, 0.0));
+    }
+}

@@ -176,6 +176,13 @@ fn an_effect_counts_from_its_share_of_the_noise_and_of_what_is_unmodelled_on() {
             let found = Relevance { rms: vec![0.0; 2], share: vec![0.0; 2], joint: 1, low, of_arm: false };
             plumbline_diagnose::matters(evidence, &found, &settings)
         };
+        // What acts in the whole arm is weighed in all joints together.
+        let in_both = |ratio: f64, of_arm: bool| {
+            let rms = (0..2).map(|joint| ratio * evidence.floor(joint).unwrap()).collect();
+            let found = Relevance { rms, share: vec![0.16; 2], joint: 1, low: vec![(0.0, 0.0); 2], of_arm };
+            plumbline_diagnose::matters(evidence, &found, &settings)
+        };
+        assert!(in_both(0.5, true) && !in_both(0.49, true) && !in_both(0.5, false) && in_both(0.71, false));
         let floor_of_a_period = evidence.floor_of_a_period_below(1, 4).unwrap();
         let floor_of_mean = evidence.floor_below(1, 4).unwrap();
         assert!((floor_of_a_period / floor_of_mean - (PERIODS as f64).sqrt()).abs() < 1e-9);
