@@ -42,6 +42,24 @@ pub static FAMILY: Family = Family {
             in_c: InC::Columns(|at, _| vec![format!("{0}*fabs({0})", at.dq)]),
             plot_over: PlotOver::Velocity,
         },
+        Form {
+            name: "power",
+            equation: "tau_j = fn_j sign(dq_j) |dq_j / (1 rad/s)|^p",
+            settings: &[Setting {
+                name: "p",
+                unit: "1",
+                what: "power of the speed: below 1 where grease becomes thinner",
+                low: 0.2,
+                high: 4.0,
+                steps: 5,
+                scale: Scale::Logarithmic,
+            }],
+            build: power,
+            in_c: InC::Columns(|at, settings| {
+                vec![format!("copysign(pow(fabs({0}), {1:?}), {0})", at.dq, settings[0])]
+            }),
+            plot_over: PlotOver::Velocity,
+        },
     ],
     stratum: Stratum::Repeatable,
     typical: "0.3 to 1.3 Nm over a Panda's joints in the sigmoid form, vt 0.12 to 0.4 rad/s",
@@ -51,7 +69,7 @@ pub static FAMILY: Family = Family {
         confounded("presliding", SLOW_CONSTANT_SPEEDS),
         confounded("fv and fc", "they hold most of it: move the joint up to its rated speed"),
     ],
-    reference: "Gaz et al., IEEE RA-L 4 (2019); Wolf, Iskandar, ICRA 2018",
+    reference: "Gaz et al., IEEE RA-L 4 (2019); Wolf, Iskandar, ICRA 2018; Waiboer, Aarts, Jonker, Multibody Dynamics (2005)",
     rare: Rare::NONE,
 };
 
@@ -68,4 +86,10 @@ fn cubic(operating_point: &OperatingPoint, site: Site, settings: &[f64]) -> Arc<
 fn quadratic(operating_point: &OperatingPoint, site: Site, settings: &[f64]) -> Arc<dyn Term> {
     let columns = vec![column("fn", site, "_quadratic", unit(operating_point, joint(site), "Nm s2/rad2", "N s2/m2"))];
     OneRow::new(&FAMILY, "quadratic", site, settings, columns, |at, _| [at.own.dq * at.own.dq.abs(), 0.0, 0.0]).term()
+}
+
+fn power(operating_point: &OperatingPoint, site: Site, settings: &[f64]) -> Arc<dyn Term> {
+    let columns = vec![column("fn", site, "_power", unit(operating_point, joint(site), "Nm", "N"))];
+    let law = |at: &At, settings: &Settings| [at.own.dq.abs().powf(settings[0]).copysign(at.own.dq), 0.0, 0.0];
+    OneRow::new(&FAMILY, "power", site, settings, columns, law).term()
 }

@@ -46,6 +46,8 @@ const MAX_STEPS: u8 = 20;
 const MAX_ITERATIONS: u8 = 50;
 /// Tolerance of the torque of one step \[Nm\].
 const TOLERANCE_NM: f64 = 1e-9;
+/// Largest twist \[rad\], a hundred times that of real gears: on a soft one a body that no real one is would fall without end.
+const MAX_TWIST_RAD: f64 = 1.0;
 /// Decay time of the oscillation per unit of quality factor \[s\].
 const DECAY_S: f64 = 0.8;
 
@@ -60,15 +62,16 @@ pub(super) enum Gear {
 }
 
 impl Gear {
-    /// Twist under a torque, and its slope.
+    /// Twist under a torque, and its slope; no more than [`MAX_TWIST_RAD`].
     fn under(self, tau: f64) -> (f64, f64) {
-        match self {
+        let (theta, slope) = match self {
             Gear::Gap { gap, width, compliance } => {
                 let flank = (tau / width).tanh();
                 (gap * flank + compliance * tau, gap / width * (1.0 - flank * flank) + compliance)
             }
             Gear::Spring(compliance) => (compliance * tau, compliance),
-        }
+        };
+        (theta.clamp(-MAX_TWIST_RAD, MAX_TWIST_RAD), slope)
     }
 
     /// Factor of the twist.

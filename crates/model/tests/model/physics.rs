@@ -44,7 +44,7 @@ fn laws_are_what_their_equations_say() {
     let one = Site::Joint(j);
     let other = |sample: usize| at(&motion.dq, k, sample);
     let minutes = |sample: usize| (12.0 + 4e-3 * sample as f64) / 60.0;
-    let cases: [(&str, &str, Site, &[f64], Law); 15] = [
+    let cases: [(&str, &str, Site, &[f64], Law); 16] = [
         ("asymmetric-coulomb", "", one, &[], &|_, dq, _| vec![sign(dq).abs()]),
         ("asymmetric-viscous", "", one, &[], &|_, dq, _| vec![dq.abs()]),
         ("stribeck", "gaussian", one, &[0.1], &|_, dq, _| vec![(-dq * dq / 0.01).exp() * sign(dq)]),
@@ -55,6 +55,7 @@ fn laws_are_what_their_equations_say() {
         ("nonlinear-viscous", "sigmoid", one, &[0.2], &|_, dq, _| vec![(dq / 0.2).tanh()]),
         ("nonlinear-viscous", "cubic", one, &[], &|_, dq, _| vec![dq * dq * dq]),
         ("nonlinear-viscous", "quadratic", one, &[], &|_, dq, _| vec![dq * dq.abs()]),
+        ("nonlinear-viscous", "power", one, &[0.4], &|_, dq, _| vec![dq.signum() * dq.abs().powf(0.4)]),
         ("position-ripple", "", one, &[7.5], &|q, _, _| vec![(7.5 * q).sin(), (7.5 * q).cos()]),
         ("spring", "cubic", one, &[], &|q, _, _| vec![q, 1.0, q * q * q]),
         ("spring", "above", one, &[0.2], &|q, _, _| vec![if q > 0.2 { q - 0.2 } else { 0.0 }]),
