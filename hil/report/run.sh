@@ -18,7 +18,8 @@ folder=$(mktemp -d)
 trap 'rm -rf "$folder"' EXIT
 if [ $# = 0 ]; then
     cd "$root"
-    program=$(ls -t target/release/plumbline target/debug/plumbline 2>/dev/null | head -n 1)
+    # ls fails where one of them is missing.
+    program=$({ ls -t target/release/plumbline target/debug/plumbline 2>/dev/null || true; } | head -n 1)
     [ -n "$program" ] || { echo "no program: cargo build" >&2; exit 1; }
     "$program" run config/sim-panda-wall.toml --out "$folder/job" --quiet --set serve.id="report-page-$$" \
         --set excitation.periods=4 --set excitation.starts=4 --set validation.trajectories=2 --set output.dataset=false
