@@ -105,9 +105,9 @@ pub fn run(question: &Question) -> Result<Diagnosed, Failure> {
     pipeline::check_channels(question.identify)?;
     let bar = progress::bar("diagnosing");
     bar.busy("preparing the runs");
-    let (identify, variation, unseen) = prepared(question)?;
+    let Prepared { identify, variation, unseen, starts } = prepared(question)?;
     let mut notes: Vec<String> = identify.iter().chain(&unseen).filter_map(pipeline::settled).collect();
-    notes.extend(starts(&identify, question.unseen).into_iter().map(|ExcludedSpan { run, from, to }| {
+    notes.extend(starts.into_iter().map(|ExcludedSpan { run, from, to }| {
         format!("run {run}, {from:.2} to {to:.2} s: left out, for the motion of other runs does not repeat so early")
     }));
     let (identify, unseen) = (trials(&identify, question.identify), trials(&unseen, question.unseen));
@@ -199,11 +199,23 @@ pub fn trials<'a>(experiments: &'a [Experiment], runs: &[&Run]) -> Vec<Trial<'a>
     experiments.iter().zip(runs).map(trial).collect()
 }
 
-/// The runs to identify from without events that happened once, with the noise of the rest; what differs between their periods; and the unseen runs.
-fn prepared(question: &Question) -> Result<(Vec<Experiment>, Changing, Vec<Experiment>), Failure> {
+/// The runs of a question.
+struct Prepared {
+    /// Those to identify from without events that happened once, with the noise of the rest.
+    identify: Vec<Experiment>,
+    /// What differs between their periods.
+    variation: Changing,
+    /// The unseen ones.
+    unseen: Vec<Experiment>,
+    /// What is left out of these at their start.
+    starts: Vec<ExcludedSpan>,
+}
+
+fn prepared(question: &Question) -> Result<Prepared, Failure> {
     let settings = Settings { keep_periods: true, ..question.settings.clone() };
     let mut experiments = pipeline::for_estimator(question.identify, &settings, question.options)?;
-    let leave_out = [settings.leave_out.clone(), starts(&experiments, question.unseen)].concat();
+    let starts = starts(&experiments, question.unseen);
+    let leave_out = settings.leave_out.iter().chain(&starts).cloned().collect();
     let mut unseen = pipeline::experiments(question.unseen, &Settings { leave_out, ..settings.clone() })?;
     let repeat = |experiment: &Experiment| experiment.repeats.is_some();
     let mut found = Changing::default();
@@ -238,14 +250,14 @@ fn prepared(question: &Question) -> Result<(Vec<Experiment>, Changing, Vec<Exper
     if !question.options.estimator.needs_periods() {
         experiments.iter_mut().chain(&mut unseen).for_each(|experiment| experiment.repeats = None);
     }
-    Ok((experiments, found, unseen))
+    Ok(Prepared { identify: experiments, variation: found, unseen, starts })
 }
 
 /// Starts of unseen runs that do not repeat, for as long as the motion of no identified one repeated: no controller follows there, and nothing is known of what a
 /// gear or friction did before.
 fn starts(identified: &[Experiment], unseen: &[&Run]) -> Vec<ExcludedSpan> {
-    let to = identified.iter().map(|experiment| experiment.settling).fold(f64::INFINITY, f64::min);
-    let runs = unseen.iter().filter(|run| to > 0.0 && to.is_finite() && run.data.period.is_none());
+    let to = identified.iter().map(|experiment| experiment.settling).reduce(f64::min).unwrap_or(0.0);
+    let runs = unseen.iter().filter(|run| to > 0.0 && run.data.period.is_none());
     runs.map(|run| ExcludedSpan { run: run.data.name.clone(), from: 0.0, to }).collect()
 }
 
@@ -302,7 +314,7 @@ mod tests {
                 diagnosis: &plumbline_diagnose::Settings::default(),
                 of: Of::Filtered,
             };
-            let (identified, _, unseen) = prepared(&question).unwrap();
+            let Prepared { identify: identified, unseen, .. } = prepared(&question).unwrap();
             let edge = unseen[0].motion.start;
             let out = unseen[0].resting().iter().take_while(|out| **out).count();
             let least = identified.iter().map(|one| one.settling).fold(f64::INFINITY, f64::min);

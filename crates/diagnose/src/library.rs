@@ -114,9 +114,7 @@ pub fn library(
         Site::Pair { row, cause } if family.rare.between_coupled && !evidence.repeats() => {
             operating_point.chain.are_coupled(row, cause)
         }
-        Site::Joint(joint) if form.name == family.rare.with_rotor && !form.name.is_empty() => {
-            operating_point.rotors[joint]
-        }
+        Site::Joint(joint) if family.rare.with_rotor == Some(form.name) => operating_point.rotors[joint],
         _ => true,
     };
     let specs = specs(families, operating_point.chain.len(), plausible);

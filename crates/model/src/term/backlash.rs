@@ -46,7 +46,7 @@ pub static FAMILY: Family = Family {
         confounded("joint-elasticity", "pass through poses without load in several runs"),
     ],
     reference: "Nordin, Gutman, Automatica 38 (2002)",
-    rare: Rare { with_rotor: WITH_ROTOR, ..Rare::NONE },
+    rare: Rare { with_rotor: Some(WITH_ROTOR), ..Rare::NONE },
 };
 
 const HALF_GAP: Setting = Setting {

@@ -73,8 +73,8 @@ pub struct Rare {
     pub in_bodies: InBodies,
     /// Whether a form, by its name, can be at a site of the family's place.
     pub fits: fn(&str, Site) -> bool,
-    /// The form, by its name, that a search tries only in joints [with a rotor](OperatingPoint::rotors) in the rigid body; empty for none.
-    pub with_rotor: &'static str,
+    /// The form, by its name, that a search tries only in joints [with a rotor](OperatingPoint::rotors) in the rigid body.
+    pub with_rotor: Option<&'static str>,
     /// The effect that one of its forms can be a part of.
     pub part_of: Option<PartOf>,
     /// The parameter of a stored model that a column of this effect changes, by the column's name.
@@ -93,7 +93,7 @@ impl Rare {
         comes_at_once: false,
         in_bodies: InBodies::Nothing,
         fits: |_, _| true,
-        with_rotor: "",
+        with_rotor: None,
         part_of: None,
         changed_parameter: |name| name,
         quantities: quantity::own,

@@ -62,6 +62,7 @@ impl Load {
 }
 
 /// Parameters at which the columns of effects are evaluated.
+#[derive(Clone, Debug)]
 pub struct OperatingPoint {
     /// The arm.
     pub chain: Chain,

@@ -164,7 +164,7 @@ fn an_effect_counts_from_its_share_of_the_noise_and_of_what_is_unmodelled_on() {
                 share: vec![0.1, share],
                 joint: 1,
                 low: vec![(0.0, 0.0); 2],
-                of_arm: false,
+                ..Relevance::default()
             };
             plumbline_diagnose::matters(evidence, &found, settings)
         };
@@ -173,7 +173,7 @@ fn an_effect_counts_from_its_share_of_the_noise_and_of_what_is_unmodelled_on() {
         // Or below 4 Hz of the noise of one period.
         let low = |rms: f64, share: f64| {
             let low = vec![(1e3, 0.1), (rms, share)];
-            let found = Relevance { rms: vec![0.0; 2], share: vec![0.0; 2], joint: 1, low, of_arm: false };
+            let found = Relevance { rms: vec![0.0; 2], share: vec![0.0; 2], joint: 1, low, ..Relevance::default() };
             plumbline_diagnose::matters(evidence, &found, &settings)
         };
         // What acts in the whole arm is weighed in all joints together.
@@ -200,7 +200,7 @@ fn an_effect_counts_from_its_share_of_the_noise_and_of_what_is_unmodelled_on() {
                 share: vec![0.0, share],
                 joint: 1,
                 low: vec![(0.0, 0.0); 2],
-                of_arm: false,
+                ..Relevance::default()
             };
             plumbline_diagnose::matters(search.problem.evidence, &found, &settings)
         };
@@ -263,9 +263,8 @@ fn without_repeats_coupled_gears_are_searched_only_where_the_robot_file_has_them
     let free = once(20.0, 1, constant(0.0));
     assert_eq!(sites(&free), 0);
     free.search(&coupling, &settings, |search, base| {
-        let OperatingPoint { chain, load, friction, rotors } = search.operating_point;
-        let chain = chain.clone().with_coupled(vec![[1, 0]]);
-        let coupled = OperatingPoint { chain, load: load.clone(), friction: friction.clone(), rotors: rotors.clone() };
+        let free = search.operating_point.clone();
+        let coupled = OperatingPoint { chain: free.chain.clone().with_coupled(vec![[1, 0]]), ..free };
         let evidence = search.problem.evidence;
         assert!(!plumbline_diagnose::library(evidence, &coupled, &coupling, Span::ALL, 1).is_empty(), "{}", base.base);
     });
@@ -275,11 +274,9 @@ fn without_repeats_coupled_gears_are_searched_only_where_the_robot_file_has_them
 fn a_rotor_is_searched_where_the_rigid_body_has_absorbed_one() {
     let elastic: [&'static Family; 1] = [&joint_elasticity::FAMILY];
     recorded(4, 1, constant(0.0)).search(&elastic, &Settings::default(), |search, base| {
-        let OperatingPoint { chain, load, friction, rotors } = search.operating_point;
-        assert_eq!(rotors, &[false; 2], "{}", base.base);
+        assert_eq!(search.operating_point.rotors, [false; 2], "{}", base.base);
         let with = |rotors: Vec<bool>| {
-            let (chain, load, friction) = (chain.clone(), load.clone(), friction.clone());
-            let operating_point = OperatingPoint { chain, load, friction, rotors };
+            let operating_point = OperatingPoint { rotors, ..search.operating_point.clone() };
             let library =
                 plumbline_diagnose::library(search.problem.evidence, &operating_point, &elastic, Span::ALL, 1);
             let tried = library.iter().filter(|item| item.spec.form == "swinging-rotor");
@@ -406,7 +403,7 @@ fn an_effect_of_several_joints_belongs_to_the_one_whose_noise_it_exceeds_most() 
                     share: vec![0.0, 1.0],
                     joint: 1,
                     low: vec![(0.0, 0.0); 2],
-                    of_arm: false,
+                    ..Relevance::default()
                 };
                 assert!(plumbline_diagnose::matters(search.problem.evidence, &in_one, &Settings::default()));
             },
