@@ -9,7 +9,7 @@
 //! `phi` is estimated again with every candidate: estimated before it, an offset would explain itself away. Without repeats the noise
 //! has no known scale, `v` is 0 and `phi` is near `RSS / n`.
 
-use super::evidence::{BAND_EDGES_HZ, Evidence};
+use super::evidence::{BAND_EDGES_HZ, Evidence, LOW_BANDS};
 use super::moments::{Cross, Moments};
 use nalgebra::{DMatrix, DVector};
 use plumbline_core::symmetric_eigen;
@@ -374,13 +374,14 @@ impl Problem<'_> {
         rss
     }
 
-    /// Squared residual of each joint in one fold under parameters that were fitted elsewhere: weighed by `phi`, and as it is.
-    pub fn of_fold(&self, moments: &Moments, theta: &DVector<f64>, fold: usize, phi: &[f64]) -> Vec<[f64; 2]> {
-        let mut errors = vec![[0.0; 2]; self.evidence.joints()];
+    /// Squared residual of each joint in one fold under parameters that were fitted elsewhere: weighed by `phi`, as it is, and in the low bands alone.
+    pub fn of_fold(&self, moments: &Moments, theta: &DVector<f64>, fold: usize, phi: &[f64]) -> Vec<[f64; 3]> {
+        let mut errors = vec![[0.0; 3]; self.evidence.joints()];
         for (cell, own) in self.evidence.cells().iter().zip(&moments.cells).filter(|(cell, _)| cell.fold == fold) {
             let rss = (own.r2 - 2.0 * theta.dot(&own.b) + (&own.g * theta).dot(theta)).max(0.0);
             errors[cell.joint][0] += rss / phi[group(cell.joint, cell.band)];
             errors[cell.joint][1] += rss;
+            errors[cell.joint][2] += if cell.band < LOW_BANDS { rss } else { 0.0 };
         }
         errors
     }

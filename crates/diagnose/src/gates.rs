@@ -8,7 +8,7 @@ use super::outcome;
 use super::rows::Rows;
 use super::state::{State, Tried, mean_square_below};
 use nalgebra::DVector;
-use plumbline_model::term::effect::Site;
+use plumbline_model::term::effect::{Setting, Site};
 
 /// A fold is informative between these shares of the fitted effect's energy: below, the effect hardly shows in it; above, it is the only fold
 /// in which the effect shows.
@@ -24,6 +24,8 @@ const MIN_FOLD_ENERGY: f64 = 25.0;
 const MAX_LAG: usize = 2;
 /// Critical value of 95 % with Bartlett's weights, a polynomial of their width over the number of blocks, by Kiefer and Vogelsang.
 const CRITICAL: [f64; 4] = [1.96, 2.9694, 0.4160, -0.5324];
+/// A displacement above this share of its range, from its least to its largest value, is at the range's end.
+const MAX_SETTING_SHARE: f64 = 0.99;
 /// Largest share by which the mean square of any joint may rise on folds left out, where the noise is unknown.
 const MAX_LEFT_OUT_LOSS_RATIO: f64 = 0.3;
 
@@ -34,13 +36,16 @@ pub struct FoldTest {
     pub positive: usize,
     /// Informative folds.
     pub informative: usize,
+    /// Share of the informative folds that is predicted better; where the noise is not known, each counts by how much its error falls or rises.
+    pub agreement: f64,
     /// Folds in which the effect shows, the informative ones among them.
     pub showing: usize,
     /// Where the noise is not known, twice the gain in log likelihood on folds left out, `sum_j n_j ln(error_without / error_with)` over all joints.
     pub evidence: f64,
-    /// Share of the mean square removed on folds left out, in the joint with the largest share.
+    /// Share of the mean square removed on folds left out, in the joint with the largest share: of all bands, or of the low ones alone, to which errors are
+    /// reported.
     pub share: f64,
-    /// The same in the joint with the smallest share; negative where the error rises.
+    /// The same of all bands in the joint with the smallest share; negative where the error rises.
     pub worst: f64,
 }
 
@@ -52,7 +57,7 @@ impl FoldTest {
 
     /// Whether they confirm the candidate; `None` without an informative fold.
     pub fn confirm(self) -> Option<bool> {
-        (self.informative > 0).then_some(self.positive as f64 >= MIN_AGREEMENT_RATIO * self.informative as f64)
+        (self.informative > 0).then_some(self.agreement >= MIN_AGREEMENT_RATIO && 2 * self.positive > self.informative)
     }
 
     /// Whether a candidate is accepted on folds left out, `blocks` in all, where the noise is unknown, so that the likelihood of fitted data is
@@ -90,12 +95,14 @@ pub fn folds(problem: &Problem, state: &State, tried: &Tried) -> FoldTest {
         let surprises = |moments| problem.surprise(moments, phi).into_iter();
         let falls = surprises(&moments).zip(surprises(&state.moments)).map(|(with, without)| with < without);
         found.positive = falls.zip(informative).filter(|(falls, informative)| *falls && *informative).count();
+        found.agreement = found.positive as f64 / found.informative.max(1) as f64;
         return found;
     }
     let with = problem.left_out(&moments, phi);
     let without = if tried.held { Vec::new() } else { problem.left_out(&state.moments, phi) };
-    // Per joint: weighted and plain error, each without and with the candidate.
-    let mut errors = vec![[[0.0; 2]; 2]; problem.evidence.joints()];
+    // Per joint: weighted and plain error and that of the low bands, each without and with the candidate.
+    let mut errors = vec![[[0.0; 2]; 3]; problem.evidence.joints()];
+    let (mut falls, mut rises) = (0.0, 0.0);
     for (fold, informative) in informative.into_iter().enumerate() {
         // With known noise, only the sign of the change is used.
         if known && !informative {
@@ -113,19 +120,27 @@ pub fn folds(problem: &Problem, state: &State, tried: &Tried) -> FoldTest {
             }
         }
         if informative {
-            let weighed = |errors: &[[f64; 2]]| errors.iter().map(|own| own[0]).sum::<f64>();
-            found.positive += usize::from(weighed(&error_with) < weighed(&error_without));
+            let weighed = |errors: &[[f64; 3]]| errors.iter().map(|own| own[0]).sum::<f64>();
+            let fall = weighed(&error_without) - weighed(&error_with);
+            found.positive += usize::from(fall > 0.0);
+            falls += fall.max(0.0);
+            rises += (-fall).max(0.0);
         }
     }
+    let (agreeing, of) = if known { (found.positive as f64, found.informative as f64) } else { (falls, falls + rises) };
+    found.agreement = agreeing / of.max(f64::MIN_POSITIVE);
     let mut touched: Vec<usize> =
         tried.cross.cells.iter().map(|(cell, _)| problem.evidence.cells()[*cell].joint).collect();
     touched.dedup();
     let rows = problem.evidence.per_joint() as f64;
     let gain = |[without, with]: [f64; 2]| (without.max(f64::MIN_POSITIVE) / with.max(f64::MIN_POSITIVE)).ln();
-    let share = |joint: usize| 1.0 - (-gain(errors[joint][1])).exp();
+    let share = |errors: [f64; 2]| 1.0 - (-gain(errors)).exp();
     found.evidence = errors.iter().map(|own| rows * gain(own[0])).sum();
-    found.share = touched.iter().map(|&joint| share(joint)).fold(f64::NEG_INFINITY, f64::max);
-    found.worst = (0..errors.len()).map(share).fold(f64::INFINITY, f64::min);
+    found.share = touched
+        .iter()
+        .flat_map(|&joint| [1, 2].map(|bands| share(errors[joint][bands])))
+        .fold(f64::NEG_INFINITY, f64::max);
+    found.worst = errors.iter().map(|own| share(own[1])).fold(f64::INFINITY, f64::min);
     found
 }
 
@@ -304,13 +319,15 @@ pub fn matters(evidence: &Evidence, found: &Relevance, settings: &super::Setting
     enough(all.collect()) || enough(low.collect())
 }
 
-/// Whether the encoder shows an effect of this size: a displacement within one of its steps can't be told from its rounding, which repeats in
-/// every period and is in no scatter.
+/// Whether the data show how large a displacement is: one within a step of the encoder can't be told from its rounding, which repeats in every period and
+/// is in no scatter, and at the upper end of what is searched the likelihood has no maximum.
 pub fn shows(evidence: &Evidence, item: &Candidate) -> bool {
     let Some(form) = item.spec.family().ok().and_then(|family| family.form(item.spec.form)) else { return true };
-    let step = item.spec.site.joints().first().map_or(0.0, |&joint| evidence.encoder_step(joint));
+    let joint = item.spec.site.joints().first().copied();
+    let step = joint.filter(|_| evidence.repeats()).map_or(0.0, |joint| evidence.encoder_step(joint));
+    let inside = |setting: &Setting, value: f64| value > step && setting.share(value) < MAX_SETTING_SHARE;
     let mut settings = form.settings.iter().zip(&item.spec.settings);
-    settings.all(|(setting, value)| !setting.is_displacement() || *value > step)
+    settings.all(|(setting, value)| !setting.is_displacement() || inside(setting, *value))
 }
 
 #[cfg(test)]

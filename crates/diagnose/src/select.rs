@@ -81,6 +81,15 @@ pub struct Scored {
     pub penalty: f64,
 }
 
+impl Scored {
+    /// Torques that it adds to, counted by its columns, then its parameters, then whether few arms have it: of two that are as good the one with less is
+    /// preferred.
+    fn cost(&self) -> (usize, usize, bool) {
+        let usual = self.item.spec.family().is_ok_and(|family| family.rare.in_every_arm);
+        (self.tried.cross.width * self.item.joints().len(), self.item.parameters(), !usual)
+    }
+}
+
 /// What the forward selection came to.
 pub struct Draft {
     /// The model.
@@ -326,7 +335,7 @@ impl<'a> Search<'a> {
     /// Whether a candidate passes every gate. An effect of [most joints](State::has_in_most_joints) has to show alone. What the identified runs hardly show,
     /// the unseen ones may [prove](Deciding::prove).
     fn passes(&self, at: &At<'_, 'a>, one: &Scored) -> bool {
-        if one.score <= 0.0 || self.evidence().repeats() && !gates::shows(self.evidence(), &one.item) {
+        if one.score <= 0.0 || !gates::shows(self.evidence(), &one.item) {
             return false;
         }
         let state = at.state;
@@ -384,8 +393,7 @@ impl<'a> Search<'a> {
         }
         let least = TIE_RATIO * best.score;
         let near = proposals.take_while(|one| one.score >= least).filter(|one| self.passes(at, one));
-        let cost = |one: &Scored| (one.tried.cross.width * one.item.joints().len(), one.item.parameters());
-        Some(near.fold(best, |best, one| if cost(&one) < cost(&best) { one } else { best }))
+        Some(near.fold(best, |best, one| if one.cost() < best.cost() { one } else { best }))
     }
 
     /// Settings of every effect searched again, beside all others.
@@ -433,12 +441,16 @@ impl<'a> Search<'a> {
                 continue;
             };
             let others = self.proposed(&rest, |other| near(other) && !other.alike(&chosen), progress);
-            let least = |other: &Candidate| {
-                let more = other.same_effect(&chosen) && other.spec.settings.len() > chosen.spec.settings.len();
-                let gap = if more { MIN_FORM_GAP } else { 0.0 };
-                own.score + if self.evidence().repeats() { gap } else { MAX_RIVAL_SCORE_GAP }
+            let least = |other: &Scored| {
+                let form = other.item.same_effect(&chosen);
+                let more = form && other.item.spec.settings.len() > chosen.spec.settings.len();
+                match self.evidence().repeats() {
+                    true => own.score + if more { MIN_FORM_GAP } else { 0.0 },
+                    false if other.cost() > own.cost() => (own.score / TIE_RATIO).max(own.score + MAX_RIVAL_SCORE_GAP),
+                    false => own.score + MAX_RIVAL_SCORE_GAP,
+                }
             };
-            let better = others.iter().find(|other| other.score > least(&other.item) && self.passes(&at, other));
+            let better = others.iter().find(|other| other.score > least(other) && self.passes(&at, other));
             if let Some(better) = better.filter(|_| swaps > 0) {
                 swaps -= 1;
                 self.record(path, &rest, chosen, false, own.score, progress);

@@ -121,6 +121,36 @@ fn without_repeats_a_better_effect_has_to_be_better_by_twelve() {
 }
 
 #[test]
+fn without_repeats_what_costs_more_has_to_be_better_by_a_quarter() {
+    let families: [&'static Family; 2] = [&torque_offset::FAMILY, &asymmetric_viscous::FAMILY];
+    let mut seen = Vec::new();
+    // Every arm has offsets, so that a drag, of one parameter as well, counts as more.
+    for share in [0.3, 0.4, 0.5, 0.52, 0.54, 0.56] {
+        let spec = Spec { family: asymmetric_viscous::ID, form: "", site: Site::Joint(1), settings: Vec::new() };
+        let recorded = once_with_effect(20.0, 14, &spec, 0.15 * (1.0 - share), constant(0.15 * share));
+        recorded.search(&families, &Settings::default(), |search, base| {
+            let of = |family: &str| {
+                let item = search.library.iter().find(|item| item.spec.family == family && item.joints() == [1]);
+                search.score(base, item.unwrap()).unwrap()
+            };
+            let (drag, offset) = (of("asymmetric-viscous"), of("torque-offset"));
+            let ratio = drag.score / offset.score;
+            let settings = Settings { steps: 0, ..Settings::default() };
+            let search = Search { settings: &settings, ..search.at(search.operating_point) };
+            let selected = search.select(base.clone(), std::slice::from_ref(&offset.item), &|_| {});
+            println!("share {share}: ratio {ratio}, gap {}, {:?}", drag.score - offset.score, taken(&selected));
+            let better = ratio > 1.25 && drag.score > offset.score + 12.0;
+            assert_eq!(taken(&selected), [(if better { "asymmetric-viscous" } else { "torque-offset" }, 2)]);
+            seen.push((ratio, drag.score - offset.score));
+        });
+    }
+    // Some are better by twelve, and not by a quarter.
+    assert!(
+        seen.iter().any(|(ratio, gap)| *ratio < 1.25 && *gap > 12.0) && seen.iter().any(|(ratio, _)| *ratio > 1.25)
+    );
+}
+
+#[test]
 fn without_repeats_the_simplest_of_nearly_the_same_score_is_taken() {
     let families: [&'static Family; 2] = [&torque_offset::FAMILY, &spring::FAMILY];
     let mut seen = Vec::new();

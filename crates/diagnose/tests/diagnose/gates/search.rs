@@ -88,7 +88,20 @@ fn the_size_of_the_library_is_paid_for() {
 
 #[test]
 fn three_of_four_folds_have_to_agree() {
-    let folds = |positive, informative| FoldTest { positive, informative, ..FoldTest::default() };
+    let weighed = |positive, informative, agreement| {
+        FoldTest { positive, informative, agreement, ..FoldTest::default() }.confirm()
+    };
+    // By what they gain and lose, and more than half of them.
+    assert_eq!(
+        [weighed(4, 6, 0.76), weighed(4, 6, 0.74), weighed(3, 6, 0.76)].map(Option::unwrap),
+        [true, false, false]
+    );
+    let folds = |positive: usize, informative: usize| FoldTest {
+        positive,
+        informative,
+        agreement: positive as f64 / informative as f64,
+        ..FoldTest::default()
+    };
     assert_eq!(folds(3, 4).confirm(), Some(true));
     assert_eq!(folds(6, 8).confirm(), Some(true));
     assert_eq!(folds(5, 8).confirm(), Some(false));
@@ -98,7 +111,8 @@ fn three_of_four_folds_have_to_agree() {
 
 #[test]
 fn without_repeats_every_condition_on_left_out_blocks_counts() {
-    let good = FoldTest { positive: 3, informative: 3, showing: 3, evidence: 20.1, share: 0.21, worst: -0.29 };
+    let good =
+        FoldTest { positive: 3, informative: 3, agreement: 1.0, showing: 3, evidence: 20.1, share: 0.21, worst: -0.29 };
     let holds = |folds: FoldTest, blocks: usize| folds.hold(blocks, 20.0, Settings::default().least_share_left_out);
     assert!(holds(good, 20));
     assert!(!holds(FoldTest { showing: 2, ..good }, 20), "in three blocks");
@@ -311,7 +325,7 @@ fn without_repeats_an_effect_has_to_show_in_three_blocks() {
 #[test]
 fn without_repeats_an_effect_has_to_take_a_fifth_of_a_joints_error_away() {
     let mut seen = Vec::new();
-    for size in [0.035, 0.042, 0.049, 0.056, 0.063] {
+    for size in [0.017, 0.019, 0.021, 0.023, 0.026] {
         once(20.0, 11, constant(size)).search(&OFFSET, &Settings::default(), |search, base| {
             let scored = offset_2(search, base);
             let folds = plumbline_diagnose::folds(&search.problem, base, &scored.tried);
