@@ -36,7 +36,7 @@ pub struct FoldTest {
     pub positive: usize,
     /// Informative folds.
     pub informative: usize,
-    /// Share of the informative folds that is predicted better; where the noise is not known, each counts by how much its error falls or rises.
+    /// Where the noise is not known, by how much the errors of the informative folds that are predicted better fall, as a share of all that they fall or rise.
     pub agreement: f64,
     /// Folds in which the effect shows, the informative ones among them.
     pub showing: usize,
@@ -57,7 +57,12 @@ impl FoldTest {
 
     /// Whether they confirm the candidate; `None` without an informative fold.
     pub fn confirm(self) -> Option<bool> {
-        (self.informative > 0).then_some(self.agreement >= MIN_AGREEMENT_RATIO && 2 * self.positive > self.informative)
+        (self.informative > 0).then_some(self.positive as f64 >= MIN_AGREEMENT_RATIO * self.informative as f64)
+    }
+
+    /// Whether most of them do, and as many by what they gain and lose.
+    pub fn confirm_by_weight(self) -> bool {
+        2 * self.positive > self.informative && self.agreement >= MIN_AGREEMENT_RATIO
     }
 
     /// Whether a candidate is accepted on folds left out, `blocks` in all, where the noise is unknown, so that the likelihood of fitted data is
@@ -95,7 +100,6 @@ pub fn folds(problem: &Problem, state: &State, tried: &Tried) -> FoldTest {
         let surprises = |moments| problem.surprise(moments, phi).into_iter();
         let falls = surprises(&moments).zip(surprises(&state.moments)).map(|(with, without)| with < without);
         found.positive = falls.zip(informative).filter(|(falls, informative)| *falls && *informative).count();
-        found.agreement = found.positive as f64 / found.informative.max(1) as f64;
         return found;
     }
     let with = problem.left_out(&moments, phi);
@@ -127,8 +131,7 @@ pub fn folds(problem: &Problem, state: &State, tried: &Tried) -> FoldTest {
             rises += (-fall).max(0.0);
         }
     }
-    let (agreeing, of) = if known { (found.positive as f64, found.informative as f64) } else { (falls, falls + rises) };
-    found.agreement = agreeing / of.max(f64::MIN_POSITIVE);
+    found.agreement = falls / (falls + rises).max(f64::MIN_POSITIVE);
     let mut touched: Vec<usize> =
         tried.cross.cells.iter().map(|(cell, _)| problem.evidence.cells()[*cell].joint).collect();
     touched.dedup();

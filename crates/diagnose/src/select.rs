@@ -346,7 +346,10 @@ impl<'a> Search<'a> {
             return false;
         }
         let folds = gates::folds(&self.problem, state, &one.tried);
-        if folds.confirm() == Some(false) {
+        // What is in another joint as well is the more likely in this one.
+        let by_weight =
+            || !self.evidence().repeats() && state.has_in_another_joint(&one.item) && folds.confirm_by_weight();
+        if folds.confirm() == Some(false) && !by_weight() {
             return false;
         }
         if self.evidence().repeats() {

@@ -88,25 +88,37 @@ fn the_size_of_the_library_is_paid_for() {
 
 #[test]
 fn three_of_four_folds_have_to_agree() {
-    let weighed = |positive, informative, agreement| {
-        FoldTest { positive, informative, agreement, ..FoldTest::default() }.confirm()
-    };
-    // By what they gain and lose, and more than half of them.
-    assert_eq!(
-        [weighed(4, 6, 0.76), weighed(4, 6, 0.74), weighed(3, 6, 0.76)].map(Option::unwrap),
-        [true, false, false]
-    );
-    let folds = |positive: usize, informative: usize| FoldTest {
-        positive,
-        informative,
-        agreement: positive as f64 / informative as f64,
-        ..FoldTest::default()
-    };
+    let folds = |positive, informative| FoldTest { positive, informative, ..FoldTest::default() };
     assert_eq!(folds(3, 4).confirm(), Some(true));
     assert_eq!(folds(6, 8).confirm(), Some(true));
     assert_eq!(folds(5, 8).confirm(), Some(false));
     assert_eq!(folds(2, 4).confirm(), Some(false));
     assert_eq!(folds(0, 0).confirm(), None);
+    // By what they gain and lose, and more than half of them.
+    let by_weight = |positive, agreement| {
+        FoldTest { positive, informative: 6, agreement, ..FoldTest::default() }.confirm_by_weight()
+    };
+    assert_eq!([by_weight(4, 0.75), by_weight(4, 0.74), by_weight(3, 0.75)], [true, false, false]);
+}
+
+#[test]
+fn without_repeats_blocks_agree_by_weight_on_what_another_joint_has() {
+    // For a third of the time joint 2 has no offset: by count too many blocks are against it.
+    let offset = |at: &At| [4.0 * FLOOR, if at.t < 13.0 { 4.0 * FLOOR } else { 0.0 }];
+    for alone in [false, true] {
+        once(20.0, 15, offset).search(&OFFSET, &Settings::default(), |search, base| {
+            let of = |joint: usize| search.library.iter().find(|item| item.joints() == [joint]).unwrap();
+            let only = [of(1).clone()];
+            let search = Search { library: if alone { &only } else { search.library }, ..*search };
+            let state = if alone { base.clone() } else { base.with(&search.problem, of(0).clone()) };
+            let scored = search.score(&state, of(1)).unwrap();
+            let folds = plumbline_diagnose::folds(&search.problem, &state, &scored.tried);
+            assert!(folds.confirm() == Some(false) && folds.confirm_by_weight(), "{folds:?}");
+            assert!(folds.hold(search.problem.evidence.folds().len(), scored.penalty, 0.2), "{folds:?}");
+            let taken = search.forward(state, &[], &|_| {}).state.items;
+            assert_eq!(taken.iter().any(|item| item.joints() == [1]), !alone, "{folds:?}");
+        });
+    }
 }
 
 #[test]
