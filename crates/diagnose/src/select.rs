@@ -445,8 +445,8 @@ impl<'a> Search<'a> {
             };
             let others = self.proposed(&rest, |other| near(other) && !other.alike(&chosen), progress);
             let least = |other: &Scored| {
-                let form = other.item.same_effect(&chosen);
-                let more = form && other.item.spec.settings.len() > chosen.spec.settings.len();
+                let same = other.item.same_effect(&chosen);
+                let more = same && other.item.spec.settings.len() > chosen.spec.settings.len();
                 match self.evidence().repeats() {
                     true => own.score + if more { MIN_FORM_GAP } else { 0.0 },
                     false if other.cost() > own.cost() => (own.score / TIE_RATIO).max(own.score + MAX_RIVAL_SCORE_GAP),
