@@ -2,7 +2,7 @@
 
 use super::search::{OFFSET, constant, select, taken};
 use super::synthetic::{At, FLOOR, once, once_with_effect, recorded, with_effect};
-use plumbline_diagnose::{Search, Settings};
+use plumbline_diagnose::{Scored, Search, Settings, State};
 use plumbline_model::term::effect::{Family, Site, Spec};
 use plumbline_model::term::{asymmetric_coulomb, asymmetric_viscous, spring, torque_offset};
 
@@ -88,24 +88,27 @@ fn a_better_effect_takes_the_place_of_one_that_came_first() {
     });
 }
 
+/// An offset and a drag of one side in a motion that does not repeat, of which the offset has a share: the one or the other is the better single effect.
+/// Looks at a search in which nothing comes beside the one that it starts from, and at both, the drag first.
+fn drag_and_offset(share: f64, look: impl FnOnce(&Search, &State, [&Scored; 2])) {
+    let families: [&'static Family; 2] = [&torque_offset::FAMILY, &asymmetric_viscous::FAMILY];
+    let spec = Spec { family: asymmetric_viscous::ID, form: "", site: Site::Joint(1), settings: Vec::new() };
+    let recorded = once_with_effect(20.0, 14, &spec, 0.15 * (1.0 - share), constant(0.15 * share));
+    recorded.search(&families, &Settings { steps: 0, ..Settings::default() }, |search, base| {
+        let of = |family: &str| {
+            let item = search.library.iter().find(|item| item.spec.family == family && item.joints() == [1]);
+            search.score(base, item.unwrap()).unwrap()
+        };
+        look(search, base, [&of("asymmetric-viscous"), &of("torque-offset")]);
+    });
+}
+
 #[test]
 fn without_repeats_a_better_effect_has_to_be_better_by_twelve() {
-    let families: [&'static Family; 2] = [&torque_offset::FAMILY, &asymmetric_viscous::FAMILY];
     let mut seen = Vec::new();
-    // An offset and a drag of one side: the one or the other is the better single effect.
     for share in [0.3, 0.4, 0.5, 0.6, 0.7] {
-        let spec = Spec { family: asymmetric_viscous::ID, form: "", site: Site::Joint(1), settings: Vec::new() };
-        let speeds = once_with_effect(20.0, 14, &spec, 0.15 * (1.0 - share), constant(0.15 * share));
-        speeds.search(&families, &Settings::default(), |search, base| {
-            let of = |family: &str| {
-                let item = search.library.iter().find(|item| item.spec.family == family && item.joints() == [1]);
-                search.score(base, item.unwrap()).unwrap()
-            };
-            let (drag, offset) = (of("asymmetric-viscous"), of("torque-offset"));
+        drag_and_offset(share, |search, base, [drag, offset]| {
             let gap = offset.score - drag.score;
-            // One step: nothing comes beside it.
-            let settings = Settings { steps: 0, ..Settings::default() };
-            let search = Search { settings: &settings, ..search.at(search.operating_point) };
             let selected = search.select(base.clone(), std::slice::from_ref(&drag.item), &|_| {});
             println!("share {share}: gap {gap}, {:?}", taken(&selected));
             let passes = plumbline_diagnose::folds(&search.problem, base, &offset.tried).share >= 0.2;
@@ -122,26 +125,16 @@ fn without_repeats_a_better_effect_has_to_be_better_by_twelve() {
 
 #[test]
 fn without_repeats_what_costs_more_has_to_be_better_by_a_quarter() {
-    let families: [&'static Family; 2] = [&torque_offset::FAMILY, &asymmetric_viscous::FAMILY];
     let mut seen = Vec::new();
     // Every arm has offsets, so that a drag, of one parameter as well, counts as more.
     for share in [0.3, 0.4, 0.5, 0.52, 0.54, 0.56] {
-        let spec = Spec { family: asymmetric_viscous::ID, form: "", site: Site::Joint(1), settings: Vec::new() };
-        let recorded = once_with_effect(20.0, 14, &spec, 0.15 * (1.0 - share), constant(0.15 * share));
-        recorded.search(&families, &Settings::default(), |search, base| {
-            let of = |family: &str| {
-                let item = search.library.iter().find(|item| item.spec.family == family && item.joints() == [1]);
-                search.score(base, item.unwrap()).unwrap()
-            };
-            let (drag, offset) = (of("asymmetric-viscous"), of("torque-offset"));
-            let ratio = drag.score / offset.score;
-            let settings = Settings { steps: 0, ..Settings::default() };
-            let search = Search { settings: &settings, ..search.at(search.operating_point) };
+        drag_and_offset(share, |search, base, [drag, offset]| {
+            let (ratio, gap) = (drag.score / offset.score, drag.score - offset.score);
             let selected = search.select(base.clone(), std::slice::from_ref(&offset.item), &|_| {});
-            println!("share {share}: ratio {ratio}, gap {}, {:?}", drag.score - offset.score, taken(&selected));
-            let better = ratio > 1.25 && drag.score > offset.score + 12.0;
+            println!("share {share}: ratio {ratio}, gap {gap}, {:?}", taken(&selected));
+            let better = ratio > 1.25 && gap > 12.0;
             assert_eq!(taken(&selected), [(if better { "asymmetric-viscous" } else { "torque-offset" }, 2)]);
-            seen.push((ratio, drag.score - offset.score));
+            seen.push((ratio, gap));
         });
     }
     // Some are better by twelve, and not by a quarter.
