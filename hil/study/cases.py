@@ -145,7 +145,7 @@ def draw(seed, clean, kinds=None, quick=False, settled=False):
     case = Case(seed, clean, arm, mounting, rate, form, table, controls, inertia, runs, quantum, white, slow, 1 / (2 * np.pi * 0.3), step, lost,
                 bool(rng.random() < 0.4))
     case.conditions = {"arm": arm.name, "kind": kind, "mounting": where, "rate": rate, "form": form, "style": style, "start": leave,
-                       "repeating": repeating, "settled": settled, "periods": periods if repeating else 1, "bits": bits, "slow_noise": float(slow[0] / white[0])}
+                       "repeating": repeating, "settled": settled, "periods": periods if repeating else 1, "unseen_periods": twice if repeating else 1, "bits": bits, "slow_noise": float(slow[0] / white[0])}
     case.rng = rng
     case.effects = [effect(rng, case, k) for k in chosen]
     if clean and rng.random() < 0.15:

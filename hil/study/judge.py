@@ -35,7 +35,7 @@ JUDGES_SEEDS = 5000
 NONNEGATIVE = {"mass", "gap", "compliance", "ia", "fp"}
 HARM = 1.02  # of the plain model's held-out error
 OFF = (0.3, 3.0)  # a parameter outside these shares of the true one, by five deviations, is another effect: a payload of -2 kg is none
-UNSEEN = 2.0  # floors of an unseen run that "nothing-significant" must not stand beside
+UNSEEN = 2.0  # floors of an unseen run, of as many periods as it has, that "nothing-significant" must not stand beside
 LIMIT = 900  # s for one diagnosis
 
 
@@ -131,8 +131,11 @@ def score(report, truth):
         kind = "wrong" if false else "missed, part" if found else "missed"
     cover, base = covers(report, truth, found)
     unseen = 0.0
+    # the report's floor is that of the mean of the identified periods
+    conditions = truth["conditions"]
+    floor_of_unseen = [x * (conditions["periods"] / conditions["unseen_periods"]) ** 0.5 for x in floor]
     for run in report["validate"]:
-        unseen = max([unseen] + [x / y for x, y in zip(run["rms_filtered"], floor) if x and y])
+        unseen = max([unseen] + [x / y for x, y in zip(run["rms_filtered"], floor_of_unseen) if x and y])
     before, after = d["before"]["validate_rms"], d["after"]["validate_rms"]
     harm = [round(b / a, 3) for a, b in zip(before, after) if a and b]
     # the whole interval of 95 % above zero
