@@ -54,6 +54,7 @@ fn diagnosed(dir: &Path) -> (Report, String, String) {
 }
 
 #[test]
+#[ignore = "hil/long-tests/run.sh"]
 fn a_drift_and_a_contact_are_reported_and_kept_out_of_the_model() {
     let place = tempfile::tempdir().unwrap();
     let chain = Robot::load("panda", None).unwrap().chain;
@@ -120,6 +121,7 @@ const MASS: f64 = 0.4;
 const PICKED_UP: f64 = 13.37;
 
 #[test]
+#[ignore = "hil/long-tests/run.sh"]
 fn a_payload_that_is_picked_up_within_a_run_is_weighed_and_taken_off() {
     let place = tempfile::tempdir().unwrap();
     let chain = Robot::load("panda", None).unwrap().chain;
@@ -179,6 +181,7 @@ fn a_payload_that_is_picked_up_within_a_run_is_weighed_and_taken_off() {
 }
 
 #[test]
+#[ignore = "hil/long-tests/run.sh"]
 fn an_unseen_run_that_differs_is_identified_from_where_that_leaves_fewer_causes() {
     let place = tempfile::tempdir().unwrap();
     let chain = Robot::load("panda", None).unwrap().chain;
@@ -223,6 +226,7 @@ fn an_unseen_run_that_differs_is_identified_from_where_that_leaves_fewer_causes(
 
 /// What came while the arm was identified, and acts in an unseen run, too, is known there, and no other difference of that run is explained by it again.
 #[test]
+#[ignore = "hil/long-tests/run.sh"]
 fn what_differs_in_an_unseen_run_is_named_beside_what_came_before() {
     let place = tempfile::tempdir().unwrap();
     let chain = Robot::load("panda", None).unwrap().chain;

@@ -63,6 +63,7 @@ fn compare(dir: &Path, data: &str, out: &str) -> (Report, String) {
 }
 
 #[test]
+#[ignore = "hil/long-tests/run.sh"]
 fn a_payload_is_reported_and_part_of_the_written_model() {
     let place = tempfile::tempdir().unwrap();
     let dir = place.path();
@@ -114,6 +115,7 @@ fn a_payload_is_reported_and_part_of_the_written_model() {
 }
 
 #[test]
+#[ignore = "hil/long-tests/run.sh"]
 fn diagnose_compares_later_sessions_with_the_first() {
     let place = tempfile::tempdir().unwrap();
     let dir = place.path();

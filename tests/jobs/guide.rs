@@ -133,6 +133,7 @@ fn run(pages: &[&str]) -> (TempDir, String) {
 }
 
 #[test]
+#[ignore = "hil/long-tests/run.sh"]
 fn the_pages_on_one_recording_run_in_their_order() {
     let (folder, output) = run(&["docs/guide/simulation.md", "docs/guide/your-data.md", "docs/guide/diagnosis.md"]);
     // The first command is the job whose output the page shows.
@@ -153,6 +154,7 @@ fn the_pages_on_one_recording_run_in_their_order() {
 }
 
 #[test]
+#[ignore = "hil/long-tests/run.sh"]
 fn your_own_arm_runs() {
     run(&["docs/guide/your-arm.md"]);
 }
