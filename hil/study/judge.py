@@ -131,11 +131,10 @@ def score(report, truth):
         kind = "wrong" if false else "missed, part" if found else "missed"
     cover, base = covers(report, truth, found)
     unseen = 0.0
-    # the report's floor is that of the mean of the identified periods
-    conditions = truth["conditions"]
-    floor_of_unseen = [x * (conditions["periods"] / conditions["unseen_periods"]) ** 0.5 for x in floor]
     for run in report["validate"]:
-        unseen = max([unseen] + [x / y for x, y in zip(run["rms_filtered"], floor_of_unseen) if x and y])
+        unseen = max([unseen] + [x / y for x, y in zip(run["rms_filtered"], floor) if x and y])
+    # the report's floor is that of the mean of the identified periods
+    unseen *= (truth["conditions"]["unseen_periods"] / truth["conditions"]["periods"]) ** 0.5
     before, after = d["before"]["validate_rms"], d["after"]["validate_rms"]
     harm = [round(b / a, 3) for a, b in zip(before, after) if a and b]
     # the whole interval of 95 % above zero
