@@ -10,7 +10,7 @@ use super::library::Candidate;
 use super::outcome::Fitted;
 use super::select::Selected;
 use super::state::State;
-use super::unseen::{Known, Unseen};
+use super::unseen::{Known, Taken, Unseen};
 use nalgebra::{DMatrix, DVector};
 use plumbline_core::parallel;
 use plumbline_identify::solve::{Estimator, Identification, identify_weighted, identify_with};
@@ -23,9 +23,6 @@ use std::cell::OnceCell;
 /// Smallest share of a joint's unmodelled power on unseen runs that its effects explain, to be delivered, or to be proved there: these runs may differ by
 /// something else.
 pub(super) const MIN_EXPLAINED_RATIO: f64 = 0.5;
-/// Largest unmodelled RMS on unseen runs, in units of the noise, for the effect to count as weak there. Errors of the parameters are as large then:
-/// a weak effect only has to do no harm.
-const WEAK_SIGNAL_RATIO: f64 = 1.5;
 /// A joint is worse when the interval of its error's change lies above this share of the plain model's error. Joints share the rigid-body
 /// parameters, so every effect changes each of them a little.
 const MAX_WORSENING_RATIO: f64 = 0.05;
@@ -56,7 +53,7 @@ pub struct Delivery<'a> {
 
 impl Delivery<'_> {
     /// The model with the effects that help, and for each effect that it has not the reason, a sentence. They have to help in the selection's fit, of which
-    /// `adequacy` tells each joint's share (as far as the unseen runs show what the plain model `lacks`), and must do no harm in the model that is
+    /// `taken` tells what it takes from the residuals `before` it (as far as the unseen runs show them), and must do no harm in the model that is
     /// delivered: identified once more upon its own load, an effect near a resonance may come out as another one. An effect that passes this may
     /// be withheld for another reason: see [`Delivery::reason`].
     ///
@@ -65,29 +62,31 @@ impl Delivery<'_> {
     pub fn of(
         &self,
         selected: &Selected,
-        lacks: &[Option<f64>],
-        adequacy: &[Option<f64>],
+        before: &[DVector<f64>],
+        taken: &[Option<Taken>],
         confirmed: &[bool],
     ) -> Result<(Fitted, Vec<Option<String>>), EstimateError> {
-        let too_little = |share: &[Option<f64>], found: &Found, least: f64| {
+        let too_little = |taken: &[Option<Taken>], found: &Found, least: f64| {
             let joint = found.relevance.joint;
-            let share = share[joint].filter(|share| *share < least)?;
-            let lack = format!("what the plain model lacks in joint {}", joint + 1);
+            let share = taken[joint]?.falls_short(least)?;
             Some(match share {
-                share if share < 0.0 => format!("on unseen runs the effects add to {lack}"),
-                share => format!("on unseen runs the effects explain {:.0} % of {lack}", 100.0 * share),
+                share if share < 0.0 => {
+                    format!("on unseen runs the effects add to what the plain model lacks in joint {}", joint + 1)
+                }
+                share => format!(
+                    "on unseen runs the effects explain {:.0} % of what they should in joint {}",
+                    100.0 * share,
+                    joint + 1
+                ),
             })
         };
         let items = &selected.state.items;
-        let least = |found: &Found, item: &Candidate| {
-            let faint = lacks[found.relevance.joint].is_some_and(|lack| lack <= WEAK_SIGNAL_RATIO * WEAK_SIGNAL_RATIO);
-            if faint || selected.state.has_in_most_joints(item) { 0.0 } else { MIN_EXPLAINED_RATIO }
-        };
+        let least = |item: &Candidate| if selected.state.has_in_most_joints(item) { 0.0 } else { MIN_EXPLAINED_RATIO };
         // What acts in a part is in no model.
         let everywhere: Vec<bool> = items.iter().map(|item| item.span.is_all()).collect();
         let found = selected.found.iter().zip(items).zip(&everywhere);
         let of_item = |((found, item), all): ((&Found, &Candidate), &bool)| {
-            too_little(adequacy, found, least(found, item)).filter(|_| *all)
+            too_little(taken, found, least(item)).filter(|_| *all)
         };
         let mut withheld: Vec<Option<String>> = found.map(of_item).collect();
         loop {
@@ -102,9 +101,9 @@ impl Delivery<'_> {
                 information: &inverse(&after.identification.covariance),
                 phi: &selected.state.fit.phi,
             };
-            let share = unseen.explained(lacks, &unseen.update(known).0);
+            let taken = unseen.taken(before, &unseen.update(known).0);
             for (index, why) in withheld.iter_mut().enumerate().filter(|(index, _)| kept[*index]) {
-                *why = too_little(&share, &selected.found[index], 0.0);
+                *why = too_little(&taken, &selected.found[index], 0.0);
             }
             if withheld.iter().zip(&kept).any(|(why, kept)| *kept && why.is_some()) {
                 continue;

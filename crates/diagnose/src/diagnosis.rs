@@ -108,12 +108,12 @@ pub fn diagnose(input: &Input, settings: &Settings, progress: &Watch) -> Result<
 
     end_where_refuted(&search, &mut selected.state, &unseen, input);
     let selected = vetoed(&search, selected, input, &unseen);
-    let (lacks, adequacy) = {
+    let (before_effects, taken, adequacy) = {
         let model = Unseen::of(&unseen, structure, input.deciding(), &selected.state, operating_point);
         let updated = |state: &State| model.update_of(&search.problem, state, &state.fit.phi).0;
-        let lacks = model.lacks(&updated(&base));
-        let adequacy = model.explained(&lacks, &updated(&selected.state));
-        (lacks, adequacy)
+        let (before, after) = (model.residuals(&updated(&base)), updated(&selected.state));
+        let (taken, adequacy) = (model.taken(&before, &after), model.explained(&before, &after));
+        (before, taken, adequacy)
     };
     let acting = Acting::of(structure.chain(), &selected.state, operating_point, input.identify);
     let experiments = match acting.is_empty() {
@@ -137,7 +137,7 @@ pub fn diagnose(input: &Input, settings: &Settings, progress: &Watch) -> Result<
     };
     let full = matches!(confirmation(&evidence), Confirmation::Full { .. });
     let confirmed: Vec<bool> = selected.found.iter().map(|found| full && found.folds.confirm() == Some(true)).collect();
-    let (after, withheld) = delivery.of(&selected, &lacks, &adequacy, &confirmed)?;
+    let (after, withheld) = delivery.of(&selected, &before_effects, &taken, &confirmed)?;
     let kept: Vec<bool> = withheld.iter().map(Option::is_none).collect();
     let all = effects_of(input, &search, &selected, &withheld, &confirmed, &adequacy, &after);
     // What unseen runs do not show is no finding.

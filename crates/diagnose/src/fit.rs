@@ -11,6 +11,7 @@
 
 use super::evidence::{BAND_EDGES_HZ, Evidence, LOW_BANDS};
 use super::moments::{Cross, Moments};
+use super::state::every;
 use nalgebra::{DMatrix, DVector};
 use plumbline_core::symmetric_eigen;
 
@@ -70,6 +71,8 @@ pub struct Gain {
     pub independence: f64,
     /// Squared residual of each group with it.
     pub rss: Vec<f64>,
+    /// By how much the weighed squared residual falls in the joints that were not looked at, where it was told to look at some.
+    pub elsewhere: f64,
 }
 
 /// Group of a cell.
@@ -197,6 +200,14 @@ impl Problem<'_> {
         self.estimate(&grouped, phi).into_fit(grouped)
     }
 
+    /// The same model with the weight of its quietest band in all bands of a joint. A joint in which the model lacks much has no weight of its own, and
+    /// may be the only one that tells a candidate from the other columns.
+    pub fn quiet(&self, fit: &Fit, moments: &Moments) -> Fit {
+        let least = |bands: &[f64]| vec![bands.iter().copied().fold(f64::INFINITY, f64::min); bands.len()];
+        let phi: Vec<f64> = fit.weights.chunks(BAND_EDGES_HZ.len()).flat_map(least).collect();
+        self.weighted(moments, &every, &phi)
+    }
+
     /// Sums over the cells of each group.
     fn grouped(&self, moments: &Moments, chosen: Chosen) -> Grouped {
         let groups = self.groups();
@@ -320,14 +331,17 @@ impl Problem<'_> {
         }
         let ha = &fit.h * &a;
         let alone = &c - a.tr_mul(&ha);
-        let gamma = inverse_of_least(&alone, &c)? * (d - a.tr_mul(&fit.theta));
+        let slope = d - a.tr_mul(&fit.theta);
+        let gamma = inverse_of_least(&alone, &c)? * &slope;
         let shift = -(ha * &gamma);
         let whole = (&c * &gamma).dot(&gamma);
         let independence = (&alone * &gamma).dot(&gamma) / whole.max(f64::MIN_POSITIVE);
         let rss = self.changed(fit, cross, chosen, joints, &gamma, &shift);
         let likelihood = self.likelihood(&rss, &fit.count) + self.of_prior(&(&fit.theta + &shift));
         let evidence = 2.0 * (likelihood - fit.likelihood);
-        Some(Gain { evidence, gamma, shift, independence, rss })
+        let falls = fit.rss.iter().zip(&rss).zip(&fit.weights).map(|((before, after), phi)| (before - after) / phi);
+        let elsewhere = slope.dot(&gamma) - falls.sum::<f64>();
+        Some(Gain { evidence, gamma, shift, independence, rss, elsewhere })
     }
 
     /// Share of a candidate's first column that the other columns cannot represent.

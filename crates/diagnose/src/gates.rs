@@ -132,17 +132,12 @@ pub fn folds(problem: &Problem, state: &State, tried: &Tried) -> FoldTest {
         }
     }
     found.agreement = falls / (falls + rises).max(f64::MIN_POSITIVE);
-    let mut touched: Vec<usize> =
-        tried.cross.cells.iter().map(|(cell, _)| problem.evidence.cells()[*cell].joint).collect();
-    touched.dedup();
     let rows = problem.evidence.per_joint() as f64;
     let gain = |[without, with]: [f64; 2]| (without.max(f64::MIN_POSITIVE) / with.max(f64::MIN_POSITIVE)).ln();
     let share = |errors: [f64; 2]| 1.0 - (-gain(errors)).exp();
     found.evidence = errors.iter().map(|own| rows * gain(own[0])).sum();
-    found.share = touched
-        .iter()
-        .flat_map(|&joint| [1, 2].map(|bands| share(errors[joint][bands])))
-        .fold(f64::NEG_INFINITY, f64::max);
+    let shares = errors.iter().flat_map(|own| [1, 2].map(|bands| share(own[bands])));
+    found.share = shares.fold(f64::NEG_INFINITY, f64::max);
     found.worst = errors.iter().map(|own| share(own[1])).fold(f64::INFINITY, f64::min);
     found
 }
@@ -288,8 +283,8 @@ pub fn relevance(evidence: &Evidence, state: &State, tried: &Tried, item: &Candi
         let (rms, _, share) = below(LOW_BANDS);
         found.low.push((rms, share));
     }
-    let touched = item.joints();
-    let best = touched.into_iter().max_by(|&a, &b| worth[a].total_cmp(&worth[b]));
+    // Not always one that it acts in: base parameters may have taken it over, and spoil the torque elsewhere.
+    let best = (0..evidence.joints()).max_by(|&a, &b| worth[a].total_cmp(&worth[b]));
     found.joint = best.unwrap_or(0);
     found
 }

@@ -18,6 +18,7 @@ use super::veto::Deciding;
 use plumbline_core::parallel;
 use plumbline_model::term::effect::{Family, OperatingPoint, Place, Setting, Spec};
 use std::cell::OnceCell;
+use std::sync::OnceLock;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// Candidates that are fitted in full at each step.
@@ -140,15 +141,26 @@ impl<'a> Search<'a> {
 
     fn proposed(&self, state: &State, wanted: impl Fn(&Candidate) -> bool + Sync, progress: &Watch) -> Vec<Scored> {
         let threads = self.settings.threads;
+        let quietly = OnceLock::new();
+        let quiet = || quietly.get_or_init(|| self.problem.quiet(&state.fit, &state.moments));
         let screened = parallel(self.library, threads, |item| {
             let usable = wanted(item) && !state.items.iter().any(|own| own.alike(item));
             if !usable {
                 return f64::NEG_INFINITY;
             }
             let cross = state.columns.cross(self.evidence(), &item.rows);
-            let gain = self.problem.gain(&state.fit, &cross, &every, Some(&item.joints()));
+            let penalty = self.penalty(item);
+            // A torque gain is taken over by the masses beyond its joint, which the joints before it then have wrong.
+            let own = self.problem.gain(&state.fit, &cross, &every, Some(&item.joints()));
+            let elsewhere = own.as_ref().is_some_and(|own| own.elsewhere > MIN_START_GAIN_RATIO * penalty);
+            let (fit, gain) = match own {
+                None => (quiet(), self.problem.gain(quiet(), &cross, &every, None)),
+                Some(_) if elsewhere => (&state.fit, self.problem.gain(&state.fit, &cross, &every, None)),
+                own => (&state.fit, own),
+            };
             gain.map_or(f64::NEG_INFINITY, |gain| {
-                item.plausibility(gain.gamma.as_slice()) * gain.evidence - self.penalty(item)
+                let evidence = gain.evidence + 2.0 * (fit.likelihood - state.fit.likelihood);
+                item.plausibility(gain.gamma.as_slice()) * evidence - penalty
             })
         });
         let mut order: Vec<usize> = (0..self.library.len()).filter(|&k| screened[k].is_finite()).collect();
@@ -437,13 +449,18 @@ impl<'a> Search<'a> {
             let at = At::of(&rest);
             let chosen = state.items[item].clone();
             let joints = chosen.joints();
-            let near = |other: &Candidate| other.joints().iter().any(|joint| joints.contains(joint));
+            let meets = |other: &Candidate| other.joints().iter().any(|joint| joints.contains(joint));
+            let near = |other: &Candidate| meets(other) || other.spec.family == chosen.spec.family;
+            // In another joint it is another explanation where it is worth little beside the chosen one: a gain of one joint is one of all others.
+            let beside =
+                |other: &Scored| self.score(&state, &other.item).is_some_and(|own| 2.0 * own.score > other.score);
             let Some(own) = self.score(&rest, &chosen).filter(|own| own.score > 0.0) else {
                 self.record(path, &rest, chosen, false, 0.0, progress);
                 state = rest;
                 continue;
             };
-            let others = self.proposed(&rest, |other| near(other) && !other.alike(&chosen), progress);
+            let mut others = self.proposed(&rest, |other| near(other) && !other.alike(&chosen), progress);
+            others.retain(|other| other.score > 0.0 && (meets(&other.item) || !beside(other)));
             let least = |other: &Scored| {
                 let same = other.item.same_effect(&chosen);
                 let more = same && other.item.spec.settings.len() > chosen.spec.settings.len();
@@ -468,7 +485,7 @@ impl<'a> Search<'a> {
             let itself = |other: &Candidate| {
                 other.spec.is_same_effect(&chosen.spec) && (chosen.span.is_all() || other.same_effect(&chosen))
             };
-            for other in others.iter().filter(|other| other.score > 0.0 && !itself(&other.item)) {
+            for other in others.iter().filter(|other| !itself(&other.item)) {
                 let gap = own.score - other.score;
                 let listed = rivals.iter().any(|rival| rival.item.same_effect(&other.item));
                 if gap < MAX_RIVAL_SCORE_GAP && !listed && (gap > 0.0 || self.passes(&at, other)) {

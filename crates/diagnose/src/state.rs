@@ -91,7 +91,8 @@ impl State {
     /// Fits state and candidate together until the weights converge; `None` when the candidate is not identifiable.
     pub fn try_in(&self, problem: &Problem, item: &Candidate) -> Option<Tried> {
         let cross = self.columns.cross(problem.evidence, &item.rows);
-        let gain = problem.gain(&self.fit, &cross, &every, None)?;
+        let quiet = || problem.gain(&problem.quiet(&self.fit, &self.moments), &cross, &every, None);
+        let gain = problem.gain(&self.fit, &cross, &every, None).or_else(quiet)?;
         let moments = self.moments.with(&cross);
         let fit = problem.fit(&moments, &every, Some(&self.fit.phi));
         let evidence = 2.0 * (fit.likelihood - self.fit.likelihood);

@@ -1,6 +1,6 @@
 //! Models on runs that they were not fitted to.
 
-use super::evidence::{Evidence, Trial};
+use super::evidence::{Cell, Evidence, Trial};
 use super::fit::{Problem, group, inverse};
 use super::moments::Columns;
 use super::outcome::Fitted;
@@ -13,6 +13,9 @@ use std::ops::Range;
 
 /// Smallest unmodelled RMS that counts, in units of the noise of the mean period.
 pub(super) const THRESHOLD_FLOOR_RATIO: f64 = 0.75;
+
+/// Standard deviations by which too little is taken: 95 % on one side.
+const DEVIATIONS: f64 = 1.645;
 
 /// Columns of a structure and torques of runs.
 pub fn columns_of(evidence: &Evidence, structure: &Structure, trials: &[Trial]) -> Columns {
@@ -137,26 +140,89 @@ impl<'a> Unseen<'a> {
         self.evidence.rows_below(joint, bands).map(square).sum::<f64>() / self.evidence.samples()
     }
 
-    /// Mean square of what a model lacks in a joint, over that of the noise; nothing where that is not known.
-    fn lack(&self, joint: usize, theta: &DVector<f64>) -> Option<f64> {
+    /// Residuals of every joint.
+    pub fn residuals(&self, theta: &DVector<f64>) -> Vec<DVector<f64>> {
+        (0..self.evidence.joints()).map(|joint| self.residual(joint, theta)).collect()
+    }
+
+    /// Mean square of a residual above that of the noise, over that of the noise; nothing where that is not known.
+    fn lack(&self, joint: usize, residual: &DVector<f64>) -> Option<f64> {
         let floor = self.evidence.floor(joint).filter(|_| self.repeats)?.powi(2);
-        let square = mean_square(self.evidence, joint, &self.residual(joint, theta));
-        Some((square - floor).max(0.0) / floor)
+        Some((mean_square(self.evidence, joint, residual) - floor).max(0.0) / floor)
     }
 
-    /// [`Unseen::lack`] of every joint.
-    pub fn lacks(&self, theta: &DVector<f64>) -> Vec<Option<f64>> {
-        (0..self.evidence.joints()).map(|joint| self.lack(joint, theta)).collect()
+    /// The lack of a joint that counts.
+    fn counting_lack(&self, joint: usize, residual: &DVector<f64>) -> Option<f64> {
+        self.lack(joint, residual).filter(|lack| *lack > THRESHOLD_FLOOR_RATIO * THRESHOLD_FLOOR_RATIO)
     }
 
-    /// Share of another model's unmodelled power (`lacks`) that the parameters `theta` of all columns remove, per joint; `None` where nothing was
-    /// unmodelled or the noise is unknown.
-    pub fn explained(&self, lacks: &[Option<f64>], theta: &DVector<f64>) -> Vec<Option<f64>> {
-        let share = |(joint, before): (usize, &Option<f64>)| {
-            let before = before.filter(|before| *before > THRESHOLD_FLOOR_RATIO * THRESHOLD_FLOOR_RATIO)?;
-            Some(1.0 - self.lack(joint, theta)? / before)
+    /// Share of another model's unmodelled power that the parameters `theta` of all columns remove, per joint, by the other one's residuals; `None` where
+    /// nothing was unmodelled or the noise is unknown.
+    pub fn explained(&self, before: &[DVector<f64>], theta: &DVector<f64>) -> Vec<Option<f64>> {
+        let share = |(joint, before): (usize, &DVector<f64>)| {
+            let lack = self.counting_lack(joint, before)?;
+            Some(1.0 - self.lack(joint, &self.residual(joint, theta))? / lack)
         };
-        lacks.iter().enumerate().map(share).collect()
+        before.iter().enumerate().map(share).collect()
+    }
+
+    /// What the parameters `theta` of all columns take from another model's residuals, per joint; `None` where either the residual or what should be taken is
+    /// too small, or the noise is unknown.
+    pub fn taken(&self, before: &[DVector<f64>], theta: &DVector<f64>) -> Vec<Option<Taken>> {
+        let of_joint = |(joint, before): (usize, &DVector<f64>)| {
+            let lack = self.counting_lack(joint, before)?;
+            let taken = self.taken_in(joint, before, &self.residual(joint, theta), lack)?;
+            Some(taken).filter(|taken| taken.right > THRESHOLD_FLOOR_RATIO * THRESHOLD_FLOOR_RATIO)
+        };
+        before.iter().enumerate().map(of_joint).collect()
+    }
+
+    fn taken_in(&self, joint: usize, before: &DVector<f64>, after: &DVector<f64>, lack: f64) -> Option<Taken> {
+        let evidence = self.evidence;
+        let sigma = DVector::from_column_slice(evidence.sigma(joint));
+        let change = (before - after).component_mul(&sigma);
+        let before = before.component_mul(&sigma);
+        let square = change.norm_squared();
+        // The residual is this multiple of the change, and noise.
+        let multiple = change.dot(&before) / square.max(f64::MIN_POSITIVE);
+        let noise = &before - multiple * &change;
+        let spread = |cell: &Cell| {
+            let [change, noise] = [&change, &noise].map(|of| of.rows_range(cell.rows.clone()).norm_squared());
+            change * noise / cell.rows.len() as f64
+        };
+        let variance: f64 = evidence.cells().iter().filter(|cell| cell.joint == joint).map(spread).sum();
+        let of_noise = evidence.samples() * evidence.floor(joint)?.powi(2);
+        Some(Taken {
+            lack,
+            right: square / of_noise,
+            fall: (2.0 * multiple - 1.0) * square / of_noise,
+            std: 2.0 * variance.sqrt() / of_noise,
+        })
+    }
+}
+
+/// What one model takes from another one's residual in a joint of runs that neither was fitted to: mean squares over that of the noise.
+///
+/// With the residual `r` of the other one and the change of the torque `c`, a right model takes `c'c`. It is `2 c'r - c'c` that falls, whose variance is
+/// `4 sum_b c_b'c_b s_b^2` with the mean square `s_b^2` in each band of what is no multiple of `c`: noise, and what else these runs have.
+#[derive(Clone, Copy, Debug)]
+pub struct Taken {
+    /// What the other model lacks.
+    pub lack: f64,
+    /// What falls where the one is right.
+    pub right: f64,
+    /// What falls.
+    pub fall: f64,
+    /// Standard deviation of that.
+    pub std: f64,
+}
+
+impl Taken {
+    /// Share that falls of what should, if it is less than `least` beyond the noise.
+    pub fn falls_short(self, least: f64) -> Option<f64> {
+        let share = self.fall / self.right.min(self.lack);
+        let highest = share + DEVIATIONS * self.std / self.right.min(self.lack);
+        (highest < least).then_some(share)
     }
 }
 

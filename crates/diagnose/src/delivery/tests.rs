@@ -115,6 +115,29 @@ fn model_with(delivery: &Delivery, effects: &[(Spec, f64)]) -> Fitted {
     Fitted { structure, identification }
 }
 
+/// What a model leaves of the runs that decide that lacks these powers above the noise, each over it.
+fn lacking(delivery: &Delivery, lacks: [f64; 2]) -> Vec<DVector<f64>> {
+    let rows = |joint: usize| delivery.unseen.sigma(joint).len();
+    [0, 1].map(|joint| DVector::from_element(rows(joint), (1.0 + lacks[joint]).sqrt())).to_vec()
+}
+
+/// What the plain model leaves of the runs that decide, its parameters by all runs.
+fn left_by_plain(delivery: &Delivery, selected: &Selected) -> Vec<DVector<f64>> {
+    let plain = Fitted { structure: structure(), identification: delivery.before.clone() };
+    let unseen = Unseen::of_model(delivery.unseen, &plain, delivery.unseen_without);
+    let known = Known {
+        theta: &DVector::from_column_slice(&plain.identification.beta),
+        information: &inverse(&plain.identification.covariance),
+        phi: &selected.state.fit.phi,
+    };
+    unseen.residuals(&unseen.update(known).0)
+}
+
+/// An effect that would take `right` and takes this share of it, of a lack of nine times the noise.
+fn taken(right: f64, share: f64, std: f64) -> Option<Taken> {
+    Some(Taken { lack: 9.0, right, fall: share * right, std })
+}
+
 /// Torque that added to [`LEFT_OVER`] raises its RMS by this share.
 fn offset_for(worsening: f64) -> f64 {
     LEFT_OVER * ((1.0 + worsening).powi(2) - 1.0).sqrt()
@@ -207,7 +230,8 @@ fn an_unconfirmed_effect_is_delivered_where_its_joint_is_predicted_better_alone(
     let (identify, veto) = (recorded(2, 65, |_| [0.0, 0.1]), recorded(2, 66, tone_and_offset(-0.1)));
     Case::of(&identify, &veto).deliver(&effects, |delivery, selected| {
         for (confirmed, more) in [(true, 1), (false, 0)] {
-            let (after, withheld) = delivery.of(selected, &[None; 2], &[None; 2], &[confirmed]).unwrap();
+            let (after, withheld) =
+                delivery.of(selected, &lacking(delivery, [0.0; 2]), &[None; 2], &[confirmed]).unwrap();
             assert_eq!(after.structure.columns().len(), structure().columns().len() + more);
             assert_eq!(withheld[0].is_none(), confirmed, "{withheld:?}");
         }
@@ -301,7 +325,8 @@ fn unseen_runs_are_predicted_with_what_acts_in_their_part_of_the_recording() {
         let (before, after) = (compared.before.validate_rms[1], compared.after.validate_rms[1]);
         assert!((before - 2.0).abs() < 0.05 && after < 2.0 * NOISE, "{before} {after}");
         // A part is in no model, and no reason is asked for.
-        let (after, withheld) = delivery.of(selected, &[Some(9.0); 2], &[Some(0.1); 2], &[true]).unwrap();
+        let (after, withheld) =
+            delivery.of(selected, &lacking(delivery, [0.0; 2]), &[taken(9.0, 0.1, 0.0); 2], &[true]).unwrap();
         assert_eq!(after.structure.columns().len(), structure().columns().len());
         assert_eq!(withheld, [None]);
         // The plain model is identified once more from runs without it.
@@ -314,30 +339,34 @@ fn unseen_runs_are_predicted_with_what_acts_in_their_part_of_the_recording() {
 }
 
 #[test]
-fn an_effect_explains_half_of_what_the_plain_model_lacks_or_the_plain_model_lacks_little() {
+fn an_effect_takes_half_of_what_it_should_or_what_noise_may_leave_of_that() {
     let with_offset = |seed| recorded(2, seed, |_| [0.0, 2.0]);
     let (identify, veto) = (with_offset(74), with_offset(75));
     let effects = [(spec("torque-offset", 1), Span::ALL, 9.0)];
     Case::of(&identify, &veto).deliver(&effects, |delivery, selected| {
-        // Joint 1 lacks and explains nothing: it is not the effect's.
-        let delivered = |lack: f64, explained: f64| {
+        // Joint 1 takes less than nothing: it is not the effect's.
+        let delivered = |own: Option<Taken>| {
+            let of = [taken(9.0, -1.0, 0.0), own];
             let (after, mut withheld) =
-                delivery.of(selected, &[Some(9.0), Some(lack)], &[Some(-1.0), Some(explained)], &[true]).unwrap();
+                delivery.of(selected, &left_by_plain(delivery, selected), &of, &[true]).unwrap();
             let why = withheld.remove(0);
             let columns = structure().columns().len() + usize::from(why.is_none());
             assert_eq!(after.structure.columns().len(), columns);
             why
         };
         let explain =
-            |share| format!("on unseen runs the effects explain {share} % of what the plain model lacks in joint 2");
-        assert_eq!(delivered(9.0, 0.5), None);
-        assert_eq!(delivered(9.0, 0.49), Some(explain(49)));
-        // 1.5 times the noise, squared.
-        assert_eq!(delivered(2.24, 0.02), None);
-        assert_eq!(delivered(2.26, 0.02), Some(explain(2)));
+            |share| Some(format!("on unseen runs the effects explain {share} % of what they should in joint 2"));
+        assert_eq!(delivered(taken(9.0, 0.5, 0.0)), None);
+        assert_eq!(delivered(taken(9.0, 0.49, 0.0)), explain(49));
+        // Of nine, 0.3 are 2.7, and 4.5 are half of it: 1.8 are 1.645 deviations of 1.094.
+        assert_eq!(delivered(taken(9.0, 0.3, 1.1)), None);
+        assert_eq!(delivered(taken(9.0, 0.3, 1.09)), explain(30));
+        // A right effect takes no more than what is there.
+        assert_eq!(delivered(taken(18.0, 0.25, 0.0)), None);
+        assert_eq!(delivered(taken(18.0, 0.24, 0.0)), explain(48));
         let add = "on unseen runs the effects add to what the plain model lacks in joint 2";
-        assert_eq!(delivered(2.24, -0.01), Some(add.into()));
-        assert_eq!(delivered(9.0, -0.01), Some(add.into()));
+        assert_eq!(delivered(taken(9.0, -0.01, 0.0)), Some(add.into()));
+        assert_eq!(delivered(None), None);
     });
 }
 
@@ -347,7 +376,8 @@ fn an_effect_that_adds_to_the_errors_of_unseen_runs_once_it_is_identified_is_wit
     let effects = [(spec("torque-offset", 1), Span::ALL, 9.0)];
     Case::of(&identify, &veto).deliver(&effects, |delivery, selected| {
         // The fit of the selection is said to explain all of a lack of three times the noise: the identified model adds 2 Nm.
-        let (after, withheld) = delivery.of(selected, &[None, Some(9.0)], &[None, Some(1.0)], &[true]).unwrap();
+        let (after, withheld) =
+            delivery.of(selected, &lacking(delivery, [0.0, 9.0]), &[None, taken(9.0, 1.0, 0.0)], &[true]).unwrap();
         let add = "on unseen runs the effects add to what the plain model lacks in joint 2";
         assert_eq!((after.structure.columns().len(), withheld), (structure().columns().len(), vec![Some(add.into())]));
     });
@@ -359,15 +389,13 @@ fn of_two_effects_the_one_that_explains_too_little_is_withheld_and_the_other_is_
     let (identify, veto) = (recorded(2, 86, |_| [0.15, 2.0]), recorded(2, 87, tone_and_offset(2.0)));
     let effects = [(spec("torque-offset", 0), Span::ALL, 9.0), (spec("torque-offset", 1), Span::ALL, 9.0)];
     Case::of(&identify, &veto).deliver(&effects, |delivery, selected| {
-        let lack = "what the plain model lacks in joint 1";
-        let explain = format!("on unseen runs the effects explain 49 % of {lack}");
-        let add = format!("on unseen runs the effects add to {lack}");
+        let explain = "on unseen runs the effects explain 49 % of what they should in joint 1";
+        let add = "on unseen runs the effects add to what the plain model lacks in joint 1";
         // By the fit of the selection, or by the model that is to be delivered.
-        for (explained, why) in [(0.49, explain), (1.0, add)] {
-            let lacks = [Some(9.0), Some(1e4)];
-            let (after, withheld) =
-                delivery.of(selected, &lacks, &[Some(explained), Some(1.0)], &[true, true]).unwrap();
-            assert_eq!(withheld, [Some(why), None]);
+        for (share, why) in [(0.49, explain), (1.0, add)] {
+            let of = [taken(9.0, share, 0.0), taken(9.0, 1.0, 0.0)];
+            let (after, withheld) = delivery.of(selected, &lacking(delivery, [9.0, 1e4]), &of, &[true, true]).unwrap();
+            assert_eq!(withheld, [Some(why.into()), None]);
             assert_eq!(after.structure.columns().len(), structure().columns().len() + 1);
         }
     });

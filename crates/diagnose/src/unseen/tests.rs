@@ -5,6 +5,7 @@ use crate::evidence::BAND_EDGES_HZ;
 use crate::fit::Problem;
 use crate::synthetic::{At, FLOOR, Recorded, once, recorded, truth};
 use plumbline_identify::solve::identify;
+use std::f64::consts::TAU;
 
 /// The true model on runs, with their evidence and columns.
 fn of_truth(recorded: &Recorded, look: impl FnOnce(&Unseen, &Columns, &DVector<f64>)) {
@@ -75,23 +76,64 @@ fn the_noise_of_a_run_that_does_not_repeat_is_that_of_the_known_runs() {
     let floor = known.floor(0).unwrap();
     assert!((floor / (2.0 * FLOOR) - 1.0).abs() < 0.1, "{floor}");
     // What it lacks is not judged: the arm of such a run may rest.
-    of_truth(&once, |unseen, _, theta| assert_eq!(unseen.lacks(theta), [None, None]));
+    of_truth(&once, |unseen, _, theta| assert_eq!(unseen.explained(&unseen.residuals(theta), theta), [None, None]));
 }
 
 #[test]
-fn a_lack_is_the_power_above_that_of_the_noise() {
+fn a_share_is_that_of_the_power_above_the_noise() {
     of_truth(&recorded(4, 92, |_| [0.0, 6.0 * FLOOR]), |unseen, _, theta| {
-        let lacks = unseen.lacks(theta);
+        let residuals = unseen.residuals(theta);
+        let lacks = [0, 1].map(|joint| unseen.lack(joint, &residuals[joint]).unwrap());
         // The true model lacks nothing in joint 1, and an offset of six times the noise in joint 2.
-        assert!((0.0..0.3).contains(&lacks[0].unwrap()) && (lacks[1].unwrap() / 36.0 - 1.0).abs() < 0.15, "{lacks:?}");
+        assert!((0.0..0.3).contains(&lacks[0]) && (lacks[1] / 36.0 - 1.0).abs() < 0.15, "{lacks:?}");
         // The same model as before explains nothing of it; of twice as much it would explain half.
-        let lack = lacks[1].unwrap();
-        assert_eq!(unseen.explained(&[None, Some(lack)], theta), [None, Some(0.0)]);
-        assert_eq!(unseen.explained(&[None, Some(2.0 * lack)], theta), [None, Some(0.5)]);
+        assert_eq!(unseen.explained(&residuals, theta), [None, Some(0.0)]);
+        let scaled = |lack: f64| ((1.0 + lack) / (1.0 + lacks[1])).sqrt() * &residuals[1];
+        let of = |lack: f64| unseen.explained(&[residuals[0].clone(), scaled(lack)], theta)[1];
+        assert!((of(2.0 * lacks[1]).unwrap() - 0.5).abs() < 1e-9);
         // No share is taken of a lack that does not count: three quarters of the noise.
-        let counts = |lack: f64| unseen.explained(&[Some(lack), None], theta)[0].is_some();
-        assert!(counts(0.5626) && !counts(0.5625) && !counts(0.5) && !counts(0.0));
+        assert!(of(0.5626).is_some() && of(0.5624).is_none() && of(0.0).is_none());
     });
+}
+
+#[test]
+fn an_effect_takes_what_it_should_whatever_else_a_run_has() {
+    // An offset in joint 2 by the other model, of which this share is there, and a tone beside it.
+    let of = |offset: f64, share: f64, tone: f64| {
+        let torque =
+            move |at: &At| [0.0, FLOOR * (offset * share + tone * std::f64::consts::SQRT_2 * (TAU * 7.0 * at.t).sin())];
+        let mut found = None;
+        of_truth(&recorded(4, 96, torque), |unseen, _, theta| {
+            let before = unseen.residuals(theta);
+            let mut with = before.clone();
+            for cell in unseen.evidence.cells().iter().filter(|cell| cell.joint == 1 && cell.band == 0) {
+                // The constant is the first of a fold's coefficients.
+                let first = cell.rows.start;
+                with[1][first] -=
+                    offset * FLOOR * (unseen.evidence.samples() / 4.0).sqrt() / unseen.evidence.sigma(1)[first];
+            }
+            found = unseen.taken_in(1, &before[1], &with[1], unseen.lack(1, &before[1]).unwrap());
+        });
+        found.unwrap()
+    };
+    for (share, tone) in [(1.0, 0.0), (1.0, 8.0), (0.9, 8.0)] {
+        let taken = of(6.0, share, tone);
+        println!("{share} {tone} {taken:?}");
+        assert!(taken.falls_short(0.5).is_none(), "{taken:?}");
+    }
+    // A half of it is expected to fall by nothing, and none of it rises.
+    for (share, tone) in [(0.5, 0.0), (0.0, 8.0), (0.6, 8.0)] {
+        let taken = of(6.0, share, tone);
+        println!("{share} {tone} {taken:?}");
+        let short = taken.falls_short(0.5).unwrap();
+        assert!(
+            (short * taken.right.min(taken.lack) / taken.right - (2.0 * share - 1.0)).abs() < 0.2,
+            "{short} {taken:?}"
+        );
+    }
+    // 0.4 of what should be taken is less than a half; not beyond the noise where that is as large.
+    let short = |offset: f64| of(offset, 0.7, 4.0).falls_short(0.5);
+    assert!(short(6.0).is_some() && short(0.8).is_none());
 }
 
 #[test]

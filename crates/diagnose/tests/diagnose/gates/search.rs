@@ -2,7 +2,7 @@
 
 use super::synthetic::{At, FLOOR, PERIODS, ROWS, Recorded, once, recorded, scaled, with_effect, with_effect_in_noise};
 use plumbline_diagnose::{Candidate, FoldTest, Relevance, Scored, Search, Selected, Settings, Span, State};
-use plumbline_model::term::effect::{Family, OperatingPoint, Site, Spec, family};
+use plumbline_model::term::effect::{FAMILIES, Family, OperatingPoint, Site, Spec, family};
 use plumbline_model::term::{joint_elasticity, position_ripple, spring, torque_offset};
 use std::f64::consts::TAU;
 
@@ -450,6 +450,43 @@ fn an_effect_of_several_joints_belongs_to_the_one_whose_noise_it_exceeds_most() 
             assert_eq!(found.joint, 1 - noisy);
         });
     }
+}
+
+#[test]
+fn a_gain_is_found_in_the_torque_of_another_joint() {
+    let of = |joint| Spec { family: "torque-gain", form: "", site: Site::Joint(joint), settings: Vec::new() };
+    // Joint 2 has little noise, and the masses follow its gain: the torque of joint 1 is wrong.
+    let recorded = with_effect_in_noise(18, &of(1), 20.0 * FLOOR, [1.0, 0.4]);
+    recorded.search(FAMILIES, &Settings::default(), |search, base| {
+        let evidence = search.problem.evidence;
+        let proposed = search.propose(base, |_| true);
+        let gain = proposed.iter().find(|one| one.item.spec == of(1)).unwrap();
+        let found = plumbline_diagnose::relevance(evidence, base, &gain.tried, &gain.item);
+        println!("score {} {found:?}", gain.score);
+        assert_eq!(found.joint, 0, "{found:?}");
+        assert!(gain.score > 100.0 && found.share[0] > 0.9, "{} {found:?}", gain.score);
+    });
+    // An arm of two joints has no other scale: a gain of the other joint explains as much.
+    let selected = select(&recorded, &[family("torque-gain").unwrap()], &Settings::default());
+    let [found] = &selected.found[..] else { panic!("{:?}", taken(&selected)) };
+    let own = selected.state.items[0].spec.site;
+    let rivals: Vec<_> = found.rivals.iter().map(|rival| (rival.item.spec.site, rival.gap)).collect();
+    println!("{own:?} {rivals:?}");
+    assert_eq!(rivals.len(), 1, "{rivals:?}");
+    assert!(rivals[0].0 != own && rivals[0].1.abs() < 3.0, "{own:?} {rivals:?}");
+}
+
+#[test]
+fn an_effect_of_its_family_in_another_joint_is_no_rival_where_it_is_worth_as_much_beside() {
+    // One step takes the stronger one of two.
+    let settings = Settings { steps: 1, ..Settings::default() };
+    let rippled = recorded(4, 19, |at| at.q.map(|q| 0.05 * (20.0 * q).sin()));
+    let selected = select(&rippled, &[&position_ripple::FAMILY], &settings);
+    let [one, other] =
+        [0, 1].map(|joint| selected.first.iter().find(|one| one.item.joints() == [joint]).unwrap().score);
+    println!("scores {one} {other}, {:?}", taken(&selected));
+    assert!(one > 0.0 && other > 0.0 && (one - other).abs() < 12.0, "{one} {other}");
+    assert!(selected.found.len() == 1 && selected.found[0].rivals.is_empty());
 }
 
 #[test]
