@@ -10,7 +10,7 @@ use super::library::Candidate;
 use super::outcome::Fitted;
 use super::select::Selected;
 use super::state::State;
-use super::unseen::{Known, Taken, Unseen};
+use super::unseen::{Known, Residuals, Taken, Unseen};
 use nalgebra::{DMatrix, DVector};
 use plumbline_core::parallel;
 use plumbline_identify::solve::{Estimator, Identification, identify_weighted, identify_with};
@@ -62,7 +62,7 @@ impl Delivery<'_> {
     pub fn of(
         &self,
         selected: &Selected,
-        before: &[DVector<f64>],
+        before: &Residuals,
         taken: &[Option<Taken>],
         confirmed: &[bool],
     ) -> Result<(Fitted, Vec<Option<String>>), EstimateError> {
@@ -101,7 +101,7 @@ impl Delivery<'_> {
                 information: &inverse(&after.identification.covariance),
                 phi: &selected.state.fit.phi,
             };
-            let taken = unseen.taken(before, &unseen.update(known).0);
+            let taken = unseen.taken(before, &unseen.residuals(known));
             for (index, why) in withheld.iter_mut().enumerate().filter(|(index, _)| kept[*index]) {
                 *why = too_little(&taken, &selected.found[index], 0.0);
             }

@@ -7,6 +7,11 @@
 //!
 //! is their covariance (Gauss and Newton). A linear parameter's deviation with the settings held is too small: friction and the displacement over
 //! which it builds up share an error.
+//!
+//! What the model lacks is no noise that averages out. Where trajectories disagree by more than their noise the deviation is theirs, of the estimates
+//! `beta_i` from `n` trajectories less the i-th (jackknife, Efron and Stein, Annals of Statistics 9, 1981):
+//!
+//!   s^2 = (n - 1) / n sum_i (beta_i - mean beta_i)^2.
 
 use super::evidence::Evidence;
 use super::fit::inverse;
@@ -20,11 +25,16 @@ use plumbline_model::term::effect::{OperatingPoint, Spec};
 /// Half the step of a derivative, as a ratio of the distance between two start values of a setting.
 const STEP_RATIO: f64 = 0.05;
 
+/// Fewer trajectories do not tell how they disagree.
+const MIN_FOLDS: usize = 3;
+
 /// Deviations of all parameters of a state's effects.
 pub(super) struct Deviations {
     covariance: DMatrix<f64>,
     /// First column of the settings of each effect.
     first: Vec<usize>,
+    /// Deviation of each linear parameter by how trajectories disagree; 0 where few are known.
+    jackknife: Vec<f64>,
 }
 
 impl Deviations {
@@ -41,21 +51,38 @@ impl Deviations {
             columns.push(&slopes(evidence, search.operating_point, item, beta.as_slice()));
         }
         let information = search.problem.information(&columns.moments(evidence), &state.fit.weights);
-        Deviations { covariance: inverse(&information), first }
+        let left_out = search.problem.left_out(&state.moments, &state.fit.weights);
+        let jackknife = (0..state.fit.theta.len()).map(|column| jackknife(&left_out, column)).collect();
+        Deviations { covariance: inverse(&information), first, jackknife }
     }
 
     /// Of a setting of an effect; `None` where the data does not determine it.
-    pub fn of_setting(&self, item: usize, setting: usize) -> Option<f64> {
+    pub fn of_setting(&self, state: &State, item: usize, setting: usize) -> Option<f64> {
         let column = self.first[item] + setting;
         let variance = self.covariance[(column, column)];
-        (variance > 0.0).then(|| variance.sqrt())
+        // Trajectories disagree about it as about the parameters that it belongs to.
+        let ratio = |column: usize| self.jackknife[column] / self.covariance[(column, column)].sqrt();
+        let disagreement = state.range(item).map(ratio).filter(|ratio| ratio.is_finite()).fold(1.0, f64::max);
+        (variance > 0.0).then(|| variance.sqrt() * disagreement)
     }
 
-    /// Ratio of a linear parameter's deviation to that with the settings held; 1 or more.
-    pub fn growth(&self, state: &State, column: usize) -> f64 {
+    /// Of a linear parameter whose deviation by noise is `std` with the settings held.
+    pub fn of_linear(&self, state: &State, column: usize, std: f64) -> f64 {
         let held = state.fit.h[(column, column)];
-        if held > 0.0 { (self.covariance[(column, column)] / held).max(1.0).sqrt() } else { 1.0 }
+        let growth = if held > 0.0 { (self.covariance[(column, column)] / held).max(1.0).sqrt() } else { 1.0 };
+        growth * std.max(self.jackknife[column])
     }
+}
+
+/// Deviation of a parameter by its estimates without each trajectory in turn.
+fn jackknife(left_out: &[DVector<f64>], column: usize) -> f64 {
+    let count = left_out.len() as f64;
+    if left_out.len() < MIN_FOLDS {
+        return 0.0;
+    }
+    let mean = left_out.iter().map(|theta| theta[column]).sum::<f64>() / count;
+    let squares = left_out.iter().map(|theta| (theta[column] - mean).powi(2)).sum::<f64>();
+    ((count - 1.0) / count * squares).sqrt()
 }
 
 /// Change of an effect's torque with each of its settings, one column per setting; zero where it can't be computed, which holds that setting.

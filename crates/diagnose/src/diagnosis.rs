@@ -110,8 +110,8 @@ pub fn diagnose(input: &Input, settings: &Settings, progress: &Watch) -> Result<
     let selected = vetoed(&search, selected, input, &unseen);
     let (before_effects, taken, adequacy) = {
         let model = Unseen::of(&unseen, structure, input.deciding(), &selected.state, operating_point);
-        let updated = |state: &State| model.update_of(&search.problem, state, &state.fit.phi).0;
-        let (before, after) = (model.residuals(&updated(&base)), updated(&selected.state));
+        let left_by = |state: &State| model.residuals_of(&search.problem, state, &state.fit.phi);
+        let (before, after) = (left_by(&base), left_by(&selected.state));
         let (taken, adequacy) = (model.taken(&before, &after), model.explained(&before, &after));
         (before, taken, adequacy)
     };
@@ -359,7 +359,7 @@ fn effects_of(
         };
         let estimate = |(k, column): (usize, &plumbline_model::term::Column)| {
             let (value, std) = delivered(&column.name).filter(|_| in_model).unwrap_or_else(|| fitted(k));
-            let std = std.map(|std| std * deviations.growth(state, state.range(index).start + k));
+            let std = std.map(|std| deviations.of_linear(state, state.range(index).start + k, std));
             Quantity { std, ..Quantity::new(&column.name, value, column.unit) }
         };
         let mut linear: Vec<Quantity> = names.iter().enumerate().map(estimate).collect();
@@ -373,7 +373,7 @@ fn effects_of(
         }
         let joint = found.relevance.joint;
         let effect = Effect {
-            parameters: Parameters(settings_of(item, index, &deviations).into_iter().chain(linear.clone()).collect()),
+            parameters: Parameters(settings_of(state, index, &deviations).into_iter().chain(linear.clone()).collect()),
             adequacy: adequacy[joint],
             explained_share: Some(found.relevance.share[joint].max(0.0)),
             confirmed: confirmed[index],
@@ -393,10 +393,11 @@ fn effects_of(
 }
 
 /// Nonlinear parameters of an effect.
-fn settings_of(item: &Candidate, index: usize, deviations: &Deviations) -> Vec<Quantity> {
+fn settings_of(state: &State, index: usize, deviations: &Deviations) -> Vec<Quantity> {
+    let item = &state.items[index];
     let Some(form) = item.spec.family().ok().and_then(|family| family.form(item.spec.form)) else { return Vec::new() };
     let estimate = |(which, (setting, value)): (usize, (&effect::Setting, &f64))| {
-        let std = deviations.of_setting(index, which);
+        let std = deviations.of_setting(state, index, which);
         Quantity { std, ..Quantity::new(setting.name, *value, setting.unit) }
     };
     form.settings.iter().zip(&item.spec.settings).enumerate().map(estimate).collect()

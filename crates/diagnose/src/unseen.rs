@@ -140,9 +140,16 @@ impl<'a> Unseen<'a> {
         self.evidence.rows_below(joint, bands).map(square).sum::<f64>() / self.evidence.samples()
     }
 
-    /// Residuals of every joint.
-    pub fn residuals(&self, theta: &DVector<f64>) -> Vec<DVector<f64>> {
-        (0..self.evidence.joints()).map(|joint| self.residual(joint, theta)).collect()
+    /// Residuals of every joint under the known parameters, and under those of the identified runs and these together.
+    pub fn residuals(&self, known: Known) -> Residuals {
+        let of = |theta: &DVector<f64>| (0..self.evidence.joints()).map(|joint| self.residual(joint, theta)).collect();
+        Residuals { known: of(known.theta), updated: of(&self.update(known).0) }
+    }
+
+    /// The same of a state that was fitted to the problem's runs, with this over-dispersion.
+    pub fn residuals_of(&self, problem: &Problem, state: &State, phi: &[f64]) -> Residuals {
+        let information = problem.information(&state.moments, phi);
+        self.residuals(Known { theta: &state.fit.theta, information: &information, phi })
     }
 
     /// Mean square of a residual above that of the noise, over that of the noise; nothing where that is not known.
@@ -156,60 +163,64 @@ impl<'a> Unseen<'a> {
         self.lack(joint, residual).filter(|lack| *lack > THRESHOLD_FLOOR_RATIO * THRESHOLD_FLOOR_RATIO)
     }
 
-    /// Share of another model's unmodelled power that the parameters `theta` of all columns remove, per joint, by the other one's residuals; `None` where
-    /// nothing was unmodelled or the noise is unknown.
-    pub fn explained(&self, before: &[DVector<f64>], theta: &DVector<f64>) -> Vec<Option<f64>> {
-        let share = |(joint, before): (usize, &DVector<f64>)| {
-            let lack = self.counting_lack(joint, before)?;
-            Some(1.0 - self.lack(joint, &self.residual(joint, theta))? / lack)
+    /// Share of one model's unmodelled power that another one removes, per joint; `None` where nothing was unmodelled or the noise is unknown.
+    pub fn explained(&self, before: &Residuals, after: &Residuals) -> Vec<Option<f64>> {
+        let share = |joint: usize| {
+            let lack = self.counting_lack(joint, &before.updated[joint])?;
+            Some(1.0 - self.lack(joint, &after.updated[joint])? / lack)
         };
-        before.iter().enumerate().map(share).collect()
+        (0..self.evidence.joints()).map(share).collect()
     }
 
-    /// What the parameters `theta` of all columns take from another model's residuals, per joint; `None` where either the residual or what should be taken is
-    /// too small, or the noise is unknown.
-    pub fn taken(&self, before: &[DVector<f64>], theta: &DVector<f64>) -> Vec<Option<Taken>> {
-        let of_joint = |(joint, before): (usize, &DVector<f64>)| {
-            let lack = self.counting_lack(joint, before)?;
-            let taken = self.taken_in(joint, before, &self.residual(joint, theta), lack)?;
-            Some(taken).filter(|taken| taken.right > THRESHOLD_FLOOR_RATIO * THRESHOLD_FLOOR_RATIO)
+    /// What one model takes from another one's residuals, per joint; `None` where either the residual or what should be taken is too small, or the noise is
+    /// unknown.
+    pub fn taken(&self, before: &Residuals, after: &Residuals) -> Vec<Option<Taken>> {
+        let of_joint = |joint: usize| {
+            let lack = self.counting_lack(joint, &before.updated[joint])?;
+            let floor = self.evidence.floor(joint)?;
+            let right =
+                mean_square(self.evidence, joint, &(&before.known[joint] - &after.known[joint])) / floor.powi(2);
+            if right <= THRESHOLD_FLOOR_RATIO * THRESHOLD_FLOOR_RATIO {
+                return None;
+            }
+            let (fall, std) = self.fall(joint, &before.updated[joint], &after.updated[joint]);
+            Some(Taken { right: right.min(lack), fall: fall / floor.powi(2), std: std / floor.powi(2) })
         };
-        before.iter().enumerate().map(of_joint).collect()
+        (0..self.evidence.joints()).map(of_joint).collect()
     }
 
-    fn taken_in(&self, joint: usize, before: &DVector<f64>, after: &DVector<f64>, lack: f64) -> Option<Taken> {
-        let evidence = self.evidence;
-        let sigma = DVector::from_column_slice(evidence.sigma(joint));
-        let change = (before - after).component_mul(&sigma);
-        let before = before.component_mul(&sigma);
+    /// Fall of the mean square from one residual of a joint to another one, and its standard deviation where all of that is there \[Nm2\].
+    ///
+    /// With the residual `r` and its change `c` it is `2 c'r - c'c`, whose variance is `4 sum_b c_b'c_b s_b^2`: `s_b^2` is the mean square in each band of what
+    /// of `r` is no multiple of `c`, noise and what else these runs have.
+    fn fall(&self, joint: usize, before: &DVector<f64>, after: &DVector<f64>) -> (f64, f64) {
+        let sigma = DVector::from_column_slice(self.evidence.sigma(joint));
+        let [before, change] = [before.component_mul(&sigma), (before - after).component_mul(&sigma)];
         let square = change.norm_squared();
-        // The residual is this multiple of the change, and noise.
         let multiple = change.dot(&before) / square.max(f64::MIN_POSITIVE);
         let noise = &before - multiple * &change;
         let spread = |cell: &Cell| {
             let [change, noise] = [&change, &noise].map(|of| of.rows_range(cell.rows.clone()).norm_squared());
             change * noise / cell.rows.len() as f64
         };
-        let variance: f64 = evidence.cells().iter().filter(|cell| cell.joint == joint).map(spread).sum();
-        let of_noise = evidence.samples() * evidence.floor(joint)?.powi(2);
-        Some(Taken {
-            lack,
-            right: square / of_noise,
-            fall: (2.0 * multiple - 1.0) * square / of_noise,
-            std: 2.0 * variance.sqrt() / of_noise,
-        })
+        let variance: f64 = self.evidence.cells().iter().filter(|cell| cell.joint == joint).map(spread).sum();
+        let samples = self.evidence.samples();
+        ((2.0 * multiple - 1.0) * square / samples, 2.0 * variance.sqrt() / samples)
     }
 }
 
+/// Residuals of a model, divided by the noise, per joint.
+pub struct Residuals {
+    /// Under the parameters that the identified runs give.
+    pub known: Vec<DVector<f64>>,
+    /// Under those of all runs.
+    pub updated: Vec<DVector<f64>>,
+}
+
 /// What one model takes from another one's residual in a joint of runs that neither was fitted to: mean squares over that of the noise.
-///
-/// With the residual `r` of the other one and the change of the torque `c`, a right model takes `c'c`. It is `2 c'r - c'c` that falls, whose variance is
-/// `4 sum_b c_b'c_b s_b^2` with the mean square `s_b^2` in each band of what is no multiple of `c`: noise, and what else these runs have.
 #[derive(Clone, Copy, Debug)]
 pub struct Taken {
-    /// What the other model lacks.
-    pub lack: f64,
-    /// What falls where the one is right.
+    /// What should fall: the change of the torque by what the identified runs tell, no more than the other model lacks.
     pub right: f64,
     /// What falls.
     pub fall: f64,
@@ -220,9 +231,7 @@ pub struct Taken {
 impl Taken {
     /// Share that falls of what should, if it is less than `least` beyond the noise.
     pub fn falls_short(self, least: f64) -> Option<f64> {
-        let share = self.fall / self.right.min(self.lack);
-        let highest = share + DEVIATIONS * self.std / self.right.min(self.lack);
-        (highest < least).then_some(share)
+        (self.fall + DEVIATIONS * self.std < least * self.right).then_some(self.fall / self.right)
     }
 }
 
