@@ -20,7 +20,7 @@ use plumbline_model::term::effect::{self, Spec};
 use plumbline_model::term::{Column, Expected, Motion};
 use std::cell::OnceCell;
 
-/// Smallest share of a joint's unmodelled power on unseen runs that its effects explain, to be delivered, or to be proved there: these runs may differ by
+/// Smallest share of what an effect should take on unseen runs, to be delivered, or of a joint's unmodelled power, to be proved there: these runs may differ by
 /// something else.
 pub(super) const MIN_EXPLAINED_RATIO: f64 = 0.5;
 /// A joint is worse when the interval of its error's change lies above this share of the plain model's error. Joints share the rigid-body

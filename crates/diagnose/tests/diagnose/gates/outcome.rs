@@ -241,7 +241,8 @@ fn the_least_offset_that_would_be_found_is_three_quarters_of_the_noise() {
 fn the_deviation_of_an_effect_is_that_of_trajectories_that_disagree() {
     // An offset that is larger in every other trajectory, by four noise floors.
     let deviation = |spread: f64| {
-        let alternating = |at: &At| [0.0, FLOOR * (20.0 + spread * if at.trajectory % 2 == 0 { 1.0 } else { -1.0 })];
+        let alternating =
+            |at: &At| [0.0, FLOOR * (20.0 + spread * if at.trajectory.is_multiple_of(2) { 1.0 } else { -1.0 })];
         let found =
             outcome(&recorded(4, 38, alternating), &recorded(4, 2038, alternating), &recorded(2, 1038, alternating));
         assert_eq!(labels(&found), [("torque-offset", 2, true)]);
