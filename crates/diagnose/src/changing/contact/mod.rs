@@ -259,7 +259,17 @@ impl Data<'_> {
         let force = self.at_best_point(link, &starts, Act::Force);
         let of_force = force.as_ref().and_then(|force| force.act.point());
         let push = of_force.and_then(|point| self.at_best_point(link, &[point], Act::Push));
-        [push, force, wrench].into_iter().flatten().collect()
+        [push, force, wrench].into_iter().flatten().filter(|one| self.tells(one)).collect()
+    }
+
+    /// Whether the torques are more than the numbers that explain them. Along a fast motion a wrench on a few joints has more of them than a course of torque in
+    /// each, and would explain anything.
+    fn tells(&self, one: &Fitted) -> bool {
+        let numbers = match one.act {
+            Act::Push(_) => one.parameters,
+            Act::Force(_) | Act::Wrench => one.course.theta.len() as f64,
+        };
+        numbers < self.independent
     }
 
     /// What acts at the point of a link where it fits best: in turn the force for a point, and the point for a force.
