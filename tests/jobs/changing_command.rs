@@ -182,7 +182,7 @@ fn a_payload_that_is_picked_up_within_a_run_is_weighed_and_taken_off() {
 
 #[test]
 #[ignore = "hil/long-tests/run.sh"]
-fn an_unseen_run_that_differs_is_identified_from_where_that_leaves_fewer_causes() {
+fn what_an_unseen_run_alone_has_hides_no_effect() {
     let place = tempfile::tempdir().unwrap();
     let chain = Robot::load("panda", None).unwrap().chain;
     let arm = arm_with("sim-panda", "[[effect]]\nid = \"presliding\"\njoint = 4\ndelta = 0.002\n");
@@ -201,27 +201,19 @@ fn an_unseen_run_that_differs_is_identified_from_where_that_leaves_fewer_causes(
     let (report, printed, _) = diagnosed(place.path());
     println!("{printed}");
     let found = report.diagnosis.unwrap();
-    assert_eq!(
-        (found.verdict, &found.held_out_runs[..]),
-        (Verdict::Diagnosed, &["run-1.csv".to_string()][..]),
-        "{printed}"
-    );
+    assert_eq!(found.verdict, Verdict::Diagnosed, "{printed}");
     let [presliding, mounting] = &found.effects[..] else { panic!("{printed}") };
     assert!(
         (presliding.id.as_str(), presliding.in_model) == ("presliding", true) && presliding.joints == [4],
         "{printed}"
     );
-    let acts = mounting.acts.as_ref().unwrap();
-    assert!((mounting.id.as_str(), acts.run.as_str(), acts.from) == ("mounting", "run-2.csv", 0.0), "{mounting:?}");
+    assert!(mounting.id == "mounting" && printed.contains("- mounting in run-2.csv ("), "{printed}");
     for (own, name, truth) in [(presliding, "delta", 0.002), (mounting, "tilt", tilt)] {
         let found = own.parameters.0.iter().find(|own| own.name == name).unwrap();
         assert!((found.value - truth).abs() < 3.0 * found.std.unwrap(), "{found:?}");
     }
-    // Each joint of the unseen run is at the noise, with the presliding.
-    for (joint, (rms, floor)) in found.after.validate_rms.iter().zip(&found.noise_floor).enumerate() {
-        assert!(*rms < 2.0 * floor, "joint {}: {rms} {floor}: {printed}", joint + 1);
-    }
-    assert!(printed.contains("identified from run-2.csv, too"), "{printed}");
+    // The tilt takes 25 times what joint 4 has of the presliding there.
+    assert!(found.after.validate_rms[3] > 10.0 * found.noise_floor[3], "{printed}");
 }
 
 /// What came while the arm was identified, and acts in an unseen run, too, is known there, and no other difference of that run is explained by it again.
