@@ -1,10 +1,10 @@
 //! How small an effect could be and still be found, so that "nothing" is a number.
 
-use super::fit::MIN_INDEPENDENCE_RATIO;
+use super::fit::{MIN_INDEPENDENCE_RATIO, every};
 use super::library::Candidate;
 use super::outcome::{self, MinimumDetectable, NotIdentifiable};
 use super::select::Search;
-use super::state::{State, every, mean_square};
+use super::state::{State, mean_square};
 use std::collections::BTreeMap;
 
 /// An effect is found with high probability when what re-identification leaves of it is this share of the noise of the mean period.

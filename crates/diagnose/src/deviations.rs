@@ -16,8 +16,9 @@
 use super::evidence::Evidence;
 use super::fit::inverse;
 use super::library::Candidate;
+use super::proposals::inside;
 use super::rows::Rows;
-use super::select::{Search, inside};
+use super::select::Search;
 use super::state::State;
 use nalgebra::{DMatrix, DVector};
 use plumbline_model::term::effect::{OperatingPoint, Spec};

@@ -23,8 +23,9 @@ use super::outcome::{
     Score, Verdict,
 };
 use super::parts::{self, Named};
+use super::proposals::Scored;
 use super::reference;
-use super::select::{MAX_LISTED_SCORES, Scored, Search, Selected};
+use super::select::{MAX_LISTED_SCORES, Search, Selected};
 use super::span::Span;
 use super::state::State;
 use super::unseen::{THRESHOLD_FLOOR_RATIO, Unseen, columns_of};

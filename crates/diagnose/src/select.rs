@@ -1,34 +1,19 @@
 //! Forward selection of effects with re-identification at every step, and backward elimination.
-//!
-//! Score of a candidate: twice the gain in profile log likelihood, less `k ln n` for its `k` parameters (linear and nonlinear, `n` rows of
-//! a joint) and `2 ln N` for a library of `N` columns (extended Bayesian information criterion, Chen and Chen, Biometrika 95, 2008).
 
-use super::changing::WARMING_TIME_CONSTANTS_S;
 use super::evidence::Evidence;
 use super::fit::Problem;
 use super::found::{Found, Progress, Rival, Step, Watch};
 use super::gates;
 use super::input::Settings;
 use super::library::Candidate;
-use super::search;
+use super::proposals::Scored;
 use super::span::Span;
-use super::state::{State, Tried, every};
+use super::state::State;
 use super::unseen::Unseen;
 use super::veto::Deciding;
-use plumbline_core::parallel;
-use plumbline_model::term::effect::{Family, OperatingPoint, Place, Setting, Spec};
+use plumbline_model::term::effect::{Family, OperatingPoint, Place, Spec};
 use std::cell::OnceCell;
-use std::sync::OnceLock;
-use std::sync::atomic::{AtomicUsize, Ordering};
 
-/// Candidates that are fitted in full at each step.
-const MAX_SHORTLISTED: usize = 16;
-/// Smallest gain at the start of a search for several settings, as a share of the penalty.
-const MIN_START_GAIN_RATIO: f64 = 0.5;
-/// Resolution of the begin of an effect in a motion that does not repeat \[s\].
-const BEGIN_RESOLUTION_S: f64 = 0.05;
-/// Resolution of a time constant, as a share of it.
-const RISE_RESOLUTION: f64 = 0.05;
 /// Candidates above this share of the best score are tied, where the noise is unknown.
 const TIE_RATIO: f64 = 0.8;
 /// A form whose score is better by no more than this is not preferred to one of the same effect with fewer settings, for outside of the recorded range
@@ -69,28 +54,6 @@ impl<'s> At<'s, '_> {
     }
 }
 
-/// A candidate with its score.
-#[derive(Clone, Debug)]
-pub struct Scored {
-    /// The candidate.
-    pub item: Candidate,
-    /// Tried in the state at hand.
-    pub tried: Tried,
-    /// Score.
-    pub score: f64,
-    /// Part of the score that pays for parameters and choice.
-    pub penalty: f64,
-}
-
-impl Scored {
-    /// Torques that it adds to, counted by its columns, then its parameters, then whether few arms have it: of two that are as good the one with less is
-    /// preferred.
-    fn cost(&self) -> (usize, usize, bool) {
-        let usual = self.item.spec.family().is_ok_and(|family| family.rare.in_every_arm);
-        (self.tried.cross.width * self.item.joints().len(), self.item.parameters(), !usual)
-    }
-}
-
 /// What the forward selection came to.
 pub struct Draft {
     /// The model.
@@ -121,157 +84,9 @@ impl<'a> Search<'a> {
         Search { problem: Problem { evidence, prior }, operating_point, ..*self }
     }
 
-    fn evidence(&self) -> &Evidence {
+    /// The rows.
+    pub(super) fn evidence(&self) -> &Evidence {
         self.problem.evidence
-    }
-
-    fn penalty(&self, item: &Candidate) -> f64 {
-        let rows = self.evidence().per_joint() as f64;
-        let columns: usize = self.library.iter().map(|one| one.rows.width).sum();
-        let parameters = item.parameters() as f64 * rows.ln();
-        // What the deviations show has been chosen there.
-        let came = |(spec, span): &(Spec, Span)| item.spec.is_same_effect(spec) && span.begins_near(item.span);
-        if self.came.iter().any(came) { parameters } else { parameters + 2.0 * (columns.max(2) as f64).ln() }
-    }
-
-    /// The best candidates for a state, refined, best first.
-    pub fn propose(&self, state: &State, wanted: impl Fn(&Candidate) -> bool + Sync) -> Vec<Scored> {
-        self.proposed(state, wanted, &|_| {})
-    }
-
-    fn proposed(&self, state: &State, wanted: impl Fn(&Candidate) -> bool + Sync, progress: &Watch) -> Vec<Scored> {
-        let threads = self.settings.threads;
-        let quietly = OnceLock::new();
-        let quiet = || quietly.get_or_init(|| self.problem.quiet(&state.fit, &state.moments));
-        let screened = parallel(self.library, threads, |item| {
-            let usable = wanted(item) && !state.items.iter().any(|own| own.alike(item));
-            if !usable {
-                return f64::NEG_INFINITY;
-            }
-            let cross = state.columns.cross(self.evidence(), &item.rows);
-            let penalty = self.penalty(item);
-            // A torque gain is taken over by the masses beyond its joint, which the joints before it then have wrong.
-            let own = self.problem.gain(&state.fit, &cross, &every, Some(&item.joints()));
-            let elsewhere = own.as_ref().is_some_and(|own| own.elsewhere > MIN_START_GAIN_RATIO * penalty);
-            let (fit, gain) = match own {
-                None => (quiet(), self.problem.gain(quiet(), &cross, &every, None)),
-                Some(_) if elsewhere => (&state.fit, self.problem.gain(&state.fit, &cross, &every, None)),
-                own => (&state.fit, own),
-            };
-            gain.map_or(f64::NEG_INFINITY, |gain| {
-                let evidence = gain.evidence + 2.0 * (fit.likelihood - state.fit.likelihood);
-                item.plausibility(gain.gamma.as_slice()) * evidence - penalty
-            })
-        });
-        let mut order: Vec<usize> = (0..self.library.len()).filter(|&k| screened[k].is_finite()).collect();
-        order.sort_by(|&a, &b| screened[b].total_cmp(&screened[a]));
-        let mut short: Vec<&Candidate> = Vec::new();
-        for k in order {
-            if !short.iter().any(|one| one.alike(&self.library[k])) {
-                short.push(&self.library[k]);
-            }
-            if short.len() == MAX_SHORTLISTED {
-                break;
-            }
-        }
-        let (done, of) = (AtomicUsize::new(0), short.len());
-        let tried = parallel(&short, threads, |item| {
-            let scored = self.score(state, &self.refined(state, self.rebuilt(item)));
-            progress(Progress::Candidates { done: done.fetch_add(1, Ordering::Relaxed) + 1, of });
-            scored
-        });
-        let mut scored: Vec<Scored> = tried.into_iter().flatten().collect();
-        scored.sort_by(|a, b| b.score.total_cmp(&a.score));
-        scored
-    }
-
-    /// A candidate's score in a state.
-    pub fn score(&self, state: &State, item: &Candidate) -> Option<Scored> {
-        let tried = state.try_in(&self.problem, item)?;
-        let parameters = &tried.fit.theta.as_slice()[state.fit.theta.len()..];
-        if !item.allows(parameters) {
-            return None;
-        }
-        let penalty = self.penalty(item);
-        Some(Scored { score: tried.evidence - penalty, penalty, tried, item: item.clone() })
-    }
-
-    /// A candidate with its settings at the nearest maximum of the likelihood.
-    pub fn refined(&self, state: &State, item: Candidate) -> Candidate {
-        let form = item.spec.family().ok().and_then(|family| family.form(item.spec.form));
-        let Some(form) = form.filter(|form| !form.settings.is_empty()) else { return item };
-        let gain = |item: &Candidate| {
-            let cross = state.columns.cross(self.evidence(), &item.rows);
-            let gain = self.problem.gain(&state.fit, &cross, &every, None);
-            gain.map_or(f64::NEG_INFINITY, |gain| item.plausibility(gain.gamma.as_slice()) * gain.evidence)
-        };
-        let before = gain(&item);
-        // Expensive. Skipped when the starting gain is below half the penalty.
-        if form.settings.len() > 1 && before < MIN_START_GAIN_RATIO * self.penalty(&item) {
-            return item;
-        }
-        let spec_at = |shares: &[f64]| {
-            let setting = |(setting, share): (&Setting, &f64)| inside(setting, *share);
-            Spec { settings: form.settings.iter().zip(shares).map(setting).collect(), ..item.spec.clone() }
-        };
-        let at = |shares: &[f64]| {
-            let sketch = Candidate::sketch(self.evidence(), self.operating_point, spec_at(shares), item.span);
-            sketch.map_or(f64::NEG_INFINITY, |sketch| gain(&sketch))
-        };
-        let start: Vec<f64> =
-            form.settings.iter().zip(&item.spec.settings).map(|(own, value)| own.share(*value)).collect();
-        let steps: Vec<f64> = form.settings.iter().map(Setting::spacing).collect();
-        let found = search::largest(&start, &steps, &at);
-        // A sketch is approximate: the found settings are evaluated exactly.
-        let found = Candidate::of(self.evidence(), self.operating_point, spec_at(&found), item.span);
-        match found {
-            Some(found) if gain(&found) > before => found,
-            _ => item,
-        }
-    }
-
-    /// A candidate that begins where the likelihood is largest, near the begin of a block of a motion that does not repeat; one that comes by and by, with
-    /// the time constant nearby at which it is.
-    fn begun(&self, state: &State, item: Candidate) -> Candidate {
-        let evidence = self.evidence();
-        let (span, spec) = (item.span, item.spec.clone());
-        let sketch = |span: Span| Candidate::sketch(evidence, self.operating_point, spec.clone(), span);
-        let [shortest, .., longest] = WARMING_TIME_CONSTANTS_S;
-        // The logarithm of a time constant, or the begin within a block.
-        let moved = |offset: f64| match span.is_slow() {
-            true => sketch(Span { rise: (span.rise * offset.exp()).clamp(shortest, longest), ..span }),
-            false => sketch(Span { from: span.from + offset, ..span }),
-        };
-        let (mut reach, resolution) = if span.is_slow() {
-            (std::f64::consts::LN_2, RISE_RESOLUTION)
-        } else {
-            let Some(length) = evidence.length_of_block_at(span.from) else { return item };
-            (length, BEGIN_RESOLUTION_S)
-        };
-        let gain = |item: &Candidate| {
-            let cross = state.columns.cross(evidence, &item.rows);
-            let gain = self.problem.gain(&state.fit, &cross, &every, None);
-            gain.map_or(f64::NEG_INFINITY, |gain| gain.evidence)
-        };
-        // Blocks are short against the time that an effect lasts: there is one maximum nearby.
-        let (mut best, mut here) = ((gain(&item), item), 0.0);
-        while reach > resolution {
-            reach *= 0.5;
-            for offset in [here - reach, here + reach] {
-                let Some(moved) = moved(offset) else { continue };
-                let gain = gain(&moved);
-                if gain > best.0 {
-                    (best, here) = ((gain, moved), offset);
-                }
-            }
-        }
-        best.1
-    }
-
-    /// The same effect with its columns at this operating point.
-    fn rebuilt(&self, item: &Candidate) -> Candidate {
-        Candidate::of(self.evidence(), self.operating_point, item.spec.clone(), item.span)
-            .unwrap_or_else(|| item.clone())
     }
 
     /// [`Search::forward`] and [`Search::finish`].
@@ -505,9 +320,4 @@ impl<'a> Search<'a> {
         }
         (state, found)
     }
-}
-
-/// A value between the setting's limits, whatever rounding does.
-pub(super) fn inside(setting: &Setting, share: f64) -> f64 {
-    setting.at(share.clamp(0.0, 1.0)).clamp(setting.low, setting.high)
 }

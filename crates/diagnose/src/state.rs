@@ -1,7 +1,7 @@
 //! A model under test: the base parameters and the effects taken in so far, fitted to the evidence.
 
 use super::evidence::{BAND_EDGES_HZ, Evidence};
-use super::fit::{Fit, Problem};
+use super::fit::{Fit, Problem, every};
 use super::library::Candidate;
 use super::moments::{Columns, Cross, Moments};
 use nalgebra::DVector;
@@ -21,11 +21,6 @@ pub struct State {
     pub moments: Moments,
     /// The fit to all folds.
     pub fit: Fit,
-}
-
-/// Every fold.
-pub fn every(_fold: usize) -> bool {
-    true
 }
 
 impl State {

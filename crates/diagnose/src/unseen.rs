@@ -142,14 +142,17 @@ impl<'a> Unseen<'a> {
 
     /// Residuals of every joint under the known parameters, and under those of the identified runs and these together.
     pub fn residuals(&self, known: Known) -> Residuals {
-        let of = |theta: &DVector<f64>| (0..self.evidence.joints()).map(|joint| self.residual(joint, theta)).collect();
-        Residuals { known: of(known.theta), updated: of(&self.update(known).0) }
+        self.residuals_under(known.theta, &self.update(known).0)
     }
 
     /// The same of a state that was fitted to the problem's runs, with this over-dispersion.
     pub fn residuals_of(&self, problem: &Problem, state: &State, phi: &[f64]) -> Residuals {
-        let information = problem.information(&state.moments, phi);
-        self.residuals(Known { theta: &state.fit.theta, information: &information, phi })
+        self.residuals_under(&state.fit.theta, &self.update_of(problem, state, phi).0)
+    }
+
+    fn residuals_under(&self, known: &DVector<f64>, updated: &DVector<f64>) -> Residuals {
+        let of = |theta: &DVector<f64>| (0..self.evidence.joints()).map(|joint| self.residual(joint, theta)).collect();
+        Residuals { known: of(known), updated: of(updated) }
     }
 
     /// Mean square of a residual above that of the noise, over that of the noise; nothing where that is not known.
@@ -160,7 +163,7 @@ impl<'a> Unseen<'a> {
 
     /// The lack of a joint that counts.
     fn counting_lack(&self, joint: usize, residual: &DVector<f64>) -> Option<f64> {
-        self.lack(joint, residual).filter(|lack| *lack > THRESHOLD_FLOOR_RATIO * THRESHOLD_FLOOR_RATIO)
+        self.lack(joint, residual).filter(counts)
     }
 
     /// Share of one model's unmodelled power that another one removes, per joint; `None` where nothing was unmodelled or the noise is unknown.
@@ -180,7 +183,7 @@ impl<'a> Unseen<'a> {
             let floor = self.evidence.floor(joint)?;
             let right =
                 mean_square(self.evidence, joint, &(&before.known[joint] - &after.known[joint])) / floor.powi(2);
-            if right <= THRESHOLD_FLOOR_RATIO * THRESHOLD_FLOOR_RATIO {
+            if !counts(&right) {
                 return None;
             }
             let (fall, std) = self.fall(joint, &before.updated[joint], &after.updated[joint]);
@@ -207,6 +210,11 @@ impl<'a> Unseen<'a> {
         let samples = self.evidence.samples();
         ((2.0 * multiple - 1.0) * square / samples, 2.0 * variance.sqrt() / samples)
     }
+}
+
+/// Whether a mean square, over that of the noise, is as large as what counts.
+fn counts(power: &f64) -> bool {
+    *power > THRESHOLD_FLOOR_RATIO * THRESHOLD_FLOOR_RATIO
 }
 
 /// Residuals of a model, divided by the noise, per joint.

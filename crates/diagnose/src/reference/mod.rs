@@ -16,14 +16,15 @@ pub use held::Stored;
 pub use outcome::Comparison;
 
 use super::evidence::{BAND_EDGES_HZ, Evidence, LOW_BANDS, Trial};
-use super::fit::{Prior, Problem, inverse};
+use super::fit::{Prior, Problem, every, inverse};
 use super::found::{Found, Step, Watch};
 use super::input::Settings;
 use super::library::{self, Candidate};
 use super::moments::Columns;
-use super::select::{Scored, Search, Selected};
+use super::proposals::Scored;
+use super::select::{Search, Selected};
 use super::span::Span;
-use super::state::{State, every, unmodelled_below};
+use super::state::{State, unmodelled_below};
 use nalgebra::{DMatrix, DVector};
 use plumbline_core::symmetric_eigen;
 use plumbline_model::term::effect::{Family, OperatingPoint, Quantity, Results, Spec};
