@@ -55,8 +55,6 @@ pub fn disagreements(
     let own = Unseen::of_model(evidence, fitted, identified);
     let lack = |joint: usize| unmodelled_below(evidence, joint, &own.residual(joint, &beta), bands);
     let lacks: Vec<f64> = (0..evidence.joints()).map(lack).collect();
-    let of_period = |joint: usize| evidence.floor_of_a_period_below(joint, bands).unwrap_or(0.0).powi(2);
-    let noise: Vec<f64> = (0..evidence.joints()).map(of_period).collect();
     let freedom: Vec<f64> = (0..evidence.joints()).map(|joint| evidence.freedom_of_noise_below(joint, bands)).collect();
     let mut found = Disagreements { different: Vec::new(), undetermined: Vec::new() };
     for trial in unseen {
@@ -70,7 +68,8 @@ pub fn disagreements(
         let joint = |deviations: f64, joint: usize| {
             let square = mean_square_below(&of_run, joint, &model.residual(joint, &beta), bands);
             let parameters = model.variance(joint, &fitted.identification.covariance, bands);
-            let expected = (noise[joint] / periods + lacks[joint] + deviations * deviations * parameters).sqrt();
+            let noise = evidence.floor_of_periods_below(joint, bands, periods).unwrap_or(0.0).powi(2);
+            let expected = (noise + lacks[joint] + deviations * deviations * parameters).sqrt();
             let alone = FALSE_ALARM_PROBABILITY / (unseen.len() * of_run.joints()) as f64;
             let of_noise = || mean_square_ratio(alone, of_run.rows_of_noise_below(joint, bands), freedom[joint]).sqrt();
             let ratio = if evidence.repeats() { of_noise() } else { 0.0 };

@@ -45,6 +45,8 @@ pub struct Evidence {
     cells: Vec<Cell>,
     /// Standard deviation of each row's noise, per joint \[Nm\].
     sigma: Vec<Vec<f64>>,
+    /// Variance in it that every period repeats \[Nm^2\].
+    repeated: Vec<Vec<f64>>,
     repeats: bool,
     motions: Vec<Thinned>,
     recorded: Vec<Recorded>,
@@ -154,12 +156,13 @@ impl Evidence {
             steps.fold(0.0, f64::max)
         };
         let repeats = known.iter().all(|trial| trial.experiment.scatter.is_some());
-        let sigma = (0..joints).map(|joint| noise(trials, known, &folds, joint, repeats)).collect();
+        let (sigma, repeated) = (0..joints).map(|joint| noise(trials, known, &folds, joint, repeats)).unzip();
         Evidence {
             joints,
             folds,
             cells,
             sigma,
+            repeated,
             repeats,
             motions,
             recorded: trials.iter().map(recorded).collect(),
@@ -217,22 +220,24 @@ impl Evidence {
 
     /// The same in the lowest `bands` of [`BAND_EDGES_HZ`] alone.
     pub fn floor_below(&self, joint: usize, bands: usize) -> Option<f64> {
-        self.noise_below(joint, bands, |_periods| 1.0)
+        self.noise_below(joint, bands, |_of_row, _periods, sigma| sigma * sigma)
     }
 
-    /// The same of single periods.
-    pub fn floor_of_a_period_below(&self, joint: usize, bands: usize) -> Option<f64> {
-        self.noise_below(joint, bands, |periods| periods)
+    /// The same of the mean of so many `periods`, which leaves what every period repeats.
+    pub fn floor_of_periods_below(&self, joint: usize, bands: usize, periods: f64) -> Option<f64> {
+        self.noise_below(joint, bands, |repeated, of_mean, sigma| {
+            repeated + (sigma * sigma - repeated).max(0.0) * of_mean / periods
+        })
     }
 
-    /// Noise whose power is that of the mean of some periods times `factor` of their number.
-    fn noise_below(&self, joint: usize, bands: usize, factor: impl Fn(f64) -> f64) -> Option<f64> {
-        let power = |cell: &Cell| {
-            let sigma = &self.sigma[joint][cell.rows.clone()];
+    /// Noise of this power in each row: of what its periods repeat, their number, and the deviation of their mean.
+    fn noise_below(&self, joint: usize, bands: usize, power: impl Fn(f64, f64, f64) -> f64) -> Option<f64> {
+        let of_cell = |cell: &Cell| {
             let periods = self.periods[self.folds[cell.fold].experiment];
-            factor(periods) * sigma.iter().map(|sigma| sigma * sigma).sum::<f64>()
+            let rows = self.repeated[joint][cell.rows.clone()].iter().zip(&self.sigma[joint][cell.rows.clone()]);
+            rows.map(|(repeated, sigma)| power(*repeated, periods, *sigma)).sum::<f64>()
         };
-        let power: f64 = self.cells_below(joint, bands).map(power).sum();
+        let power: f64 = self.cells_below(joint, bands).map(of_cell).sum();
         self.repeats.then(|| (power / self.samples()).sqrt())
     }
 
@@ -480,21 +485,19 @@ fn cells_of(joint: usize, fold: usize, of: &Fold) -> Vec<Cell> {
     cells
 }
 
-/// Standard deviation of the noise of each row of a joint: that of the mean period, from all experiments that are `known` together.
-fn noise(trials: &[Trial], known: &[Trial], folds: &[Fold], joint: usize, repeats: bool) -> Vec<f64> {
+/// Standard deviation of the noise of each row of a joint, that of the mean period, and the variance in it that every period repeats; from all experiments
+/// that are `known` together.
+fn noise(trials: &[Trial], known: &[Trial], folds: &[Fold], joint: usize, repeats: bool) -> (Vec<f64>, Vec<f64>) {
     let scatters: Vec<&Scatter> = known.iter().filter_map(|trial| trial.experiment.scatter.as_ref()).collect();
     let power = NoisePower::of(&scatters, joint);
-    let mut sigma = Vec::new();
-    for fold in folds {
+    let of_row = |(fold, frequency): (&Fold, f64)| {
         if !repeats {
-            sigma.extend(fold.frequencies.iter().map(|_| 1.0));
-            continue;
+            return (1.0, 0.0);
         }
-        let periods = trials[fold.experiment].experiment.averaged_periods() as f64;
-        let dt = trials[fold.experiment].experiment.motion.dt;
+        let experiment = trials[fold.experiment].experiment;
+        let of_mean = |periods: f64| power.of_mean(periods, frequency, experiment.motion.dt);
         // Torques that repeat to the last bit have no noise; a thousandth of a milli-newton-metre stands for it.
-        let of = |frequency: &f64| (power.at(*frequency, dt) / periods).sqrt().max(1e-6);
-        sigma.extend(fold.frequencies.iter().map(of));
-    }
-    sigma
+        (of_mean(experiment.averaged_periods() as f64).sqrt().max(1e-6), of_mean(f64::INFINITY))
+    };
+    folds.iter().flat_map(|fold| fold.frequencies.iter().map(move |frequency| (fold, *frequency))).map(of_row).unzip()
 }

@@ -308,7 +308,7 @@ pub fn matters(evidence: &Evidence, found: &Relevance, settings: &super::Setting
     // Also a joint that it does not act in: the base parameters may have taken it over, and spoil the torque there.
     let joints = 0..evidence.joints();
     let all = joints.clone().map(|joint| size(evidence.floor(joint), (found.rms[joint], found.share[joint])));
-    let low = joints.map(|joint| size(evidence.floor_of_a_period_below(joint, LOW_BANDS), found.low[joint]));
+    let low = joints.map(|joint| size(evidence.floor_of_periods_below(joint, LOW_BANDS, 1.0), found.low[joint]));
     let together = settings.threshold.is_none() && found.of_arm;
     let enough = |sizes: Vec<f64>| match together {
         true => sizes.iter().map(|size| size * size).sum::<f64>() >= 1.0,

@@ -39,6 +39,8 @@ pub struct Scatter {
     /// Power of one period's noise, bins x columns, `sum_p |DFT(deviation_p)|^2 / (N (P - 1))`, for 0 Hz to half the rate.
     /// Excluded samples are subtracted from `N P`.
     pub power: DMatrix<f64>,
+    /// Power of errors that every period repeats, so that no scatter shows them and no mean removes them, like [`Scatter::power`].
+    pub repeated: DMatrix<f64>,
     /// Samples of a period, N.
     pub samples: usize,
     /// Time between samples \[s\].
@@ -227,7 +229,13 @@ impl Scatter {
                 }
             }
         }
-        Scatter { periods: counted.len() / samples, std, power, samples, dt }
+        let repeated = DMatrix::zeros(power.nrows(), columns);
+        Scatter { periods: counted.len() / samples, std, power, repeated, samples, dt }
+    }
+
+    /// Power of the mean's noise in a bin.
+    pub fn power_of_mean(&self, bin: usize, column: usize) -> f64 {
+        self.power[(bin, column)] / self.periods as f64 + self.repeated[(bin, column)]
     }
 
     /// Autocovariance of the mean's noise after a filter of the given zero-phase gain (of the frequency in Hz), at lags of
@@ -235,7 +243,7 @@ impl Scatter {
     pub fn autocovariance_of_mean(&self, column: usize, gain: impl Fn(f64) -> f64) -> Vec<f64> {
         let spectral = Spectral::new(self.samples, self.dt);
         let spectrum = (0..spectral.bins())
-            .map(|m| self.power[(m, column)] * gain(spectral.frequency(m)).powi(2) / self.periods as f64)
+            .map(|m| self.power_of_mean(m, column) * gain(spectral.frequency(m)).powi(2))
             .map(|power| power.into())
             .collect();
         spectral.signal(spectrum)
@@ -251,12 +259,13 @@ impl Scatter {
         Scatter {
             std: self.std[columns.clone()].to_vec(),
             power: self.power.columns(columns.start, columns.len()).into_owned(),
+            repeated: self.repeated.columns(columns.start, columns.len()).into_owned(),
             ..self.clone()
         }
     }
 }
 
-/// Power of the noise of one period by frequency, from several recordings together.
+/// Power of the noise by frequency, from several recordings together.
 #[derive(Clone, Debug)]
 pub struct NoisePower {
     recordings: Vec<Recording>,
@@ -268,38 +277,41 @@ struct Recording {
     width: f64,
     /// Degrees of freedom of the power at one frequency.
     freedom: f64,
-    /// Sums of the power at all frequencies below one, times the time between samples \[s\].
-    below: Vec<f64>,
+    /// Sums of the power at all frequencies below one, times the time between samples \[s\]: of one period, and of what every period repeats.
+    below: [Vec<f64>; 2],
 }
 
 impl NoisePower {
     /// Of one column of their scatter.
     pub fn of(scatters: &[&Scatter], column: usize) -> NoisePower {
         let recording = |scatter: &&Scatter| {
-            let power = scatter.power.column(column);
-            let sums = power.iter().scan(0.0, |sum, power| {
-                *sum += power * scatter.dt;
-                Some(*sum)
-            });
+            let sums = |power: &DMatrix<f64>| {
+                let sum = |sum: &mut f64, power: &f64| {
+                    *sum += power * scatter.dt;
+                    Some(*sum)
+                };
+                [0.0].into_iter().chain(power.column(column).iter().scan(0.0, sum)).collect()
+            };
             Recording {
                 width: 1.0 / (scatter.samples as f64 * scatter.dt),
                 freedom: 2.0 * (scatter.periods - 1) as f64,
-                below: [0.0].into_iter().chain(sums).collect(),
+                below: [sums(&scatter.power), sums(&scatter.repeated)],
             }
         };
         NoisePower { recordings: scatters.iter().map(recording).collect() }
     }
 
-    /// Mean over the frequencies near `frequency` \[Hz\], in the units of [`Scatter::power`] for samples `dt` apart \[s\].
-    pub fn at(&self, frequency: f64, dt: f64) -> f64 {
+    /// That of the mean of so many `periods` over the frequencies near `frequency` \[Hz\], in the units of [`Scatter::power`] for samples `dt` apart \[s\].
+    pub fn of_mean(&self, periods: f64, frequency: f64, dt: f64) -> f64 {
         for more in 0.. {
             let (mut power, mut freedom, mut whole) = (0.0, 0.0, true);
-            for Recording { width, freedom: own, below } in &self.recordings {
-                let bins = below.len() - 1;
+            for Recording { width, freedom: own, below: [scattered, repeated] } in &self.recordings {
+                let bins = scattered.len() - 1;
                 let bin = |frequency: f64| ((frequency / width).round() as usize).min(bins - 1);
                 let low = bin(frequency / SMOOTHING_RATIO).saturating_sub(more);
                 let high = (bin(frequency * SMOOTHING_RATIO).max(low + 1) + more).min(bins - 1);
-                power += own * (below[high + 1] - below[low]) / dt;
+                let within = |below: &Vec<f64>| (below[high + 1] - below[low]) / dt;
+                power += own * (within(scattered) / periods + within(repeated));
                 freedom += own * (high + 1 - low) as f64;
                 whole &= low == 0 && high == bins - 1;
             }

@@ -455,5 +455,6 @@ fn scatter(record: &Record, known: &DMatrix<f64>, lines: Option<&DMatrix<f64>>, 
             }
         }
     }
-    Scatter { periods, std, power, samples, dt }
+    let repeated = DMatrix::zeros(power.nrows(), joints);
+    Scatter { periods, std, power, repeated, samples, dt }
 }

@@ -239,11 +239,11 @@ fn an_unconfirmed_effect_is_delivered_where_its_joint_is_predicted_better_alone(
 
 #[test]
 fn an_unconfirmed_effect_that_pays_nothing_on_unseen_runs_is_withheld() {
-    // The offset brings joint 2 far below the plain model; that must not carry a spring which the runs that decide have not.
-    let torque = |spring: f64| move |at: &At| [0.0, 1.0 + spring * at.q[1]];
+    // The offset brings joint 2 far below the plain model; that must not carry a ripple which the runs that decide have not.
+    let torque = |ripple: f64| move |at: &At| [0.0, 1.0 + ripple * (3.0 * at.q[1]).sin()];
     let identify = recorded(2, 76, torque(0.5));
-    let spring = Spec { form: "linear", settings: vec![], ..spec("spring", 1) };
-    let effects = [(spec("torque-offset", 1), Span::ALL, 99.0), (spring, Span::ALL, 9.0)];
+    let ripple = Spec { settings: vec![3.0], ..spec("position-ripple", 1) };
+    let effects = [(spec("torque-offset", 1), Span::ALL, 99.0), (ripple, Span::ALL, 9.0)];
     for (truth, withheld) in [(0.5, None), (0.0, Some(1))] {
         let veto = recorded(2, 77, torque(truth));
         Case::of(&identify, &veto).deliver(&effects, |delivery, selected| {

@@ -66,6 +66,25 @@ fn an_update_is_the_fit_to_all_runs_and_its_cost_what_their_residual_grows_by() 
 }
 
 #[test]
+fn what_every_period_repeats_is_in_any_number_of_periods() {
+    let mut recorded = recorded(2, 96, |_| [0.0; 2]);
+    let chain = recorded.structure.chain().clone();
+    let scattered = Evidence::of(&chain, &recorded.trials(), 16.0).floor(0).unwrap();
+    let periods = recorded.experiments[0].averaged_periods() as f64;
+    for scatter in recorded.experiments.iter_mut().filter_map(|experiment| experiment.scatter.as_mut()) {
+        // As much as the scatter leaves in the mean.
+        scatter.repeated = &scatter.power / periods;
+    }
+    let evidence = Evidence::of(&chain, &recorded.trials(), 16.0);
+    let same = |found: f64, expected: f64| assert!((found / expected - 1.0).abs() < 1e-9, "{found} {expected}");
+    same(evidence.floor(0).unwrap(), 2.0_f64.sqrt() * scattered);
+    for of in [1.0, periods, 100.0] {
+        let floor = evidence.floor_of_periods_below(0, BAND_EDGES_HZ.len(), of).unwrap();
+        same(floor, (1.0 + periods / of).sqrt() * scattered);
+    }
+}
+
+#[test]
 fn the_noise_of_a_run_that_does_not_repeat_is_that_of_the_known_runs() {
     let (repeating, once) = (recorded(4, 95, |_| [0.0; 2]), once(20.0, 95, |_| [0.0; 2]));
     let chain = repeating.structure.chain();

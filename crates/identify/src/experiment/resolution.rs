@@ -17,7 +17,7 @@ const MAX_WAVES: i32 = 50;
 const DITHER_BISECTIONS: usize = 30;
 
 impl Experiment {
-    /// Adds to [`Scatter::power`] what the resolution of the encoders does to the model's torque. A motion that repeats within one step of an encoder
+    /// Puts into [`Scatter::repeated`] what the resolution of the encoders does to the model's torque. A motion that repeats within one step of an encoder
     /// is rounded alike in every period: no scatter between periods shows it, and no mean removes it. `predict` gives the torques along a motion.
     ///
     /// The motion behind the torques' low-pass, in which the steps are hardly left, is rounded once more: the torque of the difference has the
@@ -52,14 +52,13 @@ impl Experiment {
         let mean = places.iter().sum::<DMatrix<f64>>() / ROUNDINGS as f64;
         let low = (0..spectral.bins()).take_while(|&bin| spectral.frequency(bin) < RESOLUTION_BAND_HZ).count();
         let below = |of: &DMatrix<f64>, j: usize| of.column(j).rows(0, low).sum();
-        let mut power = scatter.power.clone();
+        let mut repeated = mean.clone();
         for j in 0..q.ncols() {
             let largest = places.iter().map(|own| below(own, j)).fold(0.0, f64::max);
-            let scale =
-                scatter.periods as f64 / scatter.samples as f64 * largest / below(&mean, j).max(f64::MIN_POSITIVE);
-            power.column_mut(j).axpy(scale, &mean.column(j), 1.0);
+            let ratio = largest / below(&mean, j).max(f64::MIN_POSITIVE);
+            repeated.column_mut(j).scale_mut(ratio / scatter.samples as f64);
         }
-        self.scatter = Some(Scatter { power, ..scatter.clone() });
+        self.scatter = Some(Scatter { repeated, ..scatter.clone() });
     }
 }
 

@@ -209,7 +209,7 @@ fn an_effect_counts_from_its_share_of_the_noise_and_of_what_is_unmodelled_on() {
             plumbline_diagnose::matters(evidence, &found, &settings)
         };
         assert!(in_both(0.5, true) && !in_both(0.49, true) && !in_both(0.5, false) && in_both(0.71, false));
-        let floor_of_a_period = evidence.floor_of_a_period_below(1, 4).unwrap();
+        let floor_of_a_period = evidence.floor_of_periods_below(1, 4, 1.0).unwrap();
         let floor_of_mean = evidence.floor_below(1, 4).unwrap();
         assert!((floor_of_a_period / floor_of_mean - (PERIODS as f64).sqrt()).abs() < 1e-9);
         assert!(floor_of_mean < 0.8 * floor, "of white noise a half is below a quarter of the band");
