@@ -8,21 +8,15 @@ use crate::process::progress::{self, Bar};
 use plumbline_diagnose::changing::{Changing, add_once, changing, cleaned, until_the_end, without_base_motions};
 use plumbline_diagnose::errors::Of;
 use plumbline_diagnose::figures::Curves;
-use plumbline_diagnose::outcome::Changes;
+use plumbline_diagnose::outcome::{Changes, Disagreement};
 use plumbline_diagnose::reference;
 use plumbline_diagnose::{Diagnosis, Effect, Input, OpenQuestions, Progress, Trial, Verdict, diagnose};
 use plumbline_identify::solve::{self, ols, stack::Stack};
 use plumbline_identify::{ExcludedSpan, Experiment, Settings};
 use plumbline_model::term::Motion;
-use plumbline_model::{Robot, Structure, TorqueModel};
+use plumbline_model::{Mounting, Robot, Structure, TorqueModel};
+use std::slice;
 use std::sync::atomic::{AtomicUsize, Ordering};
-
-/// Periods from which on a motion counts as repeating when runs are exchanged.
-const MIN_PERIODS: usize = 2;
-/// Effects that are rather believed than one thing without a name.
-const NAMELESS_CAUSES: usize = 2;
-/// Runs to identify from of which one may become an unseen one.
-const MIN_IDENTIFIED: usize = 2;
 
 pub struct Question<'a> {
     pub robot: &'a Robot,
@@ -42,61 +36,12 @@ pub struct Diagnosed {
     pub block: Diagnosis,
     pub figures: Curves,
     pub open: OpenQuestions,
-}
-
-/// Diagnoses runs of one arm. An unseen run that differs from those identified from may have changed, or shows what they do not excite: it is identified
-/// from, too, where that explains more with less. Returns the runs that were identified from and the unseen ones.
-pub fn run_exchanging<'a>(question: &Question<'a>) -> Result<(Diagnosed, Vec<&'a Run>, Vec<&'a Run>), Failure> {
-    let first = run(question)?;
-    let second = exchanged(question, &first.block).and_then(|(identify, unseen)| {
-        let second = run(&Question { identify: &identify, unseen: &unseen, ..*question }).ok()?;
-        let better = !second.block.effects.is_empty() && causes(&second.block) < causes(&first.block);
-        better.then_some((second, identify, unseen))
-    });
-    let Some((mut second, identify, unseen)) = second else {
-        return Ok((first, question.identify.to_vec(), question.unseen.to_vec()));
-    };
-    let names = |runs: &[&Run]| runs.iter().map(|run| run.data.name.as_str()).collect::<Vec<_>>().join(", ");
-    let known = |run: &&Run| question.identify.iter().any(|own| std::ptr::eq(*own, *run));
-    let moved: Vec<&Run> = identify.iter().copied().filter(|run| !known(run)).collect();
-    second.block.notes.push(format!(
-        "identified from {}, too, for it differs from the others; unseen: {}",
-        names(&moved),
-        names(&unseen)
-    ));
-    Ok((second, identify, unseen))
-}
-
-/// Causes that a verdict needs: one for each effect, and more than one for each joint or run in which something is left without a name.
-fn causes(block: &Diagnosis) -> usize {
-    let nameless = block.unexplained.len() + block.disagreements.len() - block.changes.len();
-    block.effects.len() + NAMELESS_CAUSES * nameless
-}
-
-/// Runs to identify from and unseen ones, where those that decide on findings and differ are identified from. If no other is unseen, the last run that
-/// was identified from takes their place. `None` where none differs that is comparable with the identified ones.
-fn exchanged<'a>(question: &Question<'a>, block: &Diagnosis) -> Option<(Vec<&'a Run>, Vec<&'a Run>)> {
-    let first = question.identify.first()?;
-    let repeats = |run: &Run| run.data.periods() >= MIN_PERIODS;
-    let comparable =
-        |run: &Run| run.data.mounting.angle_to(&first.data.mounting) < SAME_MOUNTING && repeats(run) == repeats(first);
-    let differs = |run: &Run| block.disagreements.iter().any(|one| one.run == run.data.name);
-    let (deciding, measuring) = question.unseen.split_at(deciding(question.unseen.len()));
-    let (moved, mut unseen): (Vec<&Run>, Vec<&Run>) = deciding.iter().partition(|run| differs(run) && comparable(run));
-    if moved.is_empty() {
-        return None;
-    }
-    unseen.extend(measuring);
-    let mut identify = question.identify.to_vec();
-    if unseen.is_empty() {
-        unseen.extend(identify.pop().filter(|_| question.identify.len() >= MIN_IDENTIFIED));
-    }
-    identify.extend(moved);
-    (!unseen.is_empty()).then_some((identify, unseen))
+    /// Unseen runs that differ for no cause that was found.
+    pub unnamed: usize,
 }
 
 /// Unseen runs that decide which findings are delivered; the others measure. A single one does both.
-fn deciding(unseen: usize) -> usize {
+pub fn deciding(unseen: usize) -> usize {
     (unseen / 2).max(1).min(unseen)
 }
 
@@ -134,8 +79,8 @@ pub fn run(question: &Question) -> Result<Diagnosed, Failure> {
     variation.add_to(&mut block, question.diagnosis.least_floor, question.diagnosis.threshold);
     // What acts in them, too, is known.
     let unseen = if outcome.unseen.is_empty() { unseen } else { trials(&outcome.unseen, question.unseen) };
-    question.name_disagreements(&after.model, &identify, &unseen, &mut block);
-    Ok(Diagnosed { after, block, figures: outcome.curves, open: outcome.open })
+    let unnamed = question.name_disagreements(&after.model, &identify, &unseen, &mut block);
+    Ok(Diagnosed { after, block, figures: outcome.curves, open: outcome.open, unnamed })
 }
 
 /// Shows a search on a bar: each comparison of candidates from 0 to 1, with its number, because nobody knows how many comparisons a search takes.
@@ -157,40 +102,86 @@ pub fn search_on(bar: &Bar) -> impl Fn(Progress) + Sync + '_ {
 }
 
 impl Question<'_> {
-    /// Searches each run that differs from the identified ones for what changed in it, as against a stored model. Only what explains the difference is
-    /// named, and nothing where the model lacks something in its own runs: changes would be named for that.
-    fn name_disagreements(&self, model: &TorqueModel, identified: &[Trial], unseen: &[Trial], block: &mut Diagnosis) {
+    /// Searches the runs that differ from the identified ones for what changed in them, as against a stored model: in all of them together, or else in each. Only
+    /// what explains the difference is named, and nothing where the model lacks something in its own runs: changes would be named for that. Returns the number of runs
+    /// that differ without a name.
+    fn name_disagreements<'a>(
+        &self,
+        model: &TorqueModel,
+        identified: &[Trial],
+        unseen: &[Trial<'a>],
+        block: &mut Diagnosis,
+    ) -> usize {
         if !block.unexplained.is_empty() {
-            return;
+            return block.disagreements.len();
         }
-        let mut explained = 0;
-        for (run, trial) in self.unseen.iter().zip(unseen) {
-            let name = &run.data.name;
-            let Some(disagreement) = block.disagreements.iter().find(|one| one.run == *name) else { continue };
-            if model.valid_in(&run.data.mounting).is_err() {
-                continue;
+        let differs = |(run, trial): (&&Run, &Trial<'a>)| {
+            let one = block.disagreements.iter().find(|one| one.run == run.data.name)?.clone();
+            let valid = model.valid_in(&run.data.mounting).is_ok();
+            valid.then_some(Differing { one, mounting: run.data.mounting, trial: *trial })
+        };
+        let differing: Vec<Differing> = self.unseen.iter().zip(unseen).filter_map(differs).collect();
+        let cause = |differing: &[Differing]| self.cause(model, identified, differing);
+        let together = Some(&differing[..]).filter(|all| all.len() > 1).and_then(cause);
+        let (explained, mut causes) = match together {
+            Some(cause) => (differing.len(), vec![cause]),
+            None => {
+                let alone: Vec<Changes> = differing.iter().filter_map(|one| cause(slice::from_ref(one))).collect();
+                (alone.len(), alone)
             }
-            let changes = reference::in_unseen(model, identified, std::slice::from_ref(trial), self.diagnosis);
-            let left_over = changes.after.get(disagreement.joint - 1);
-            if changes.effects.is_empty() || !left_over.is_some_and(|rms| disagreement.is_explained_at(*rms)) {
-                continue;
-            }
-            explained += 1;
-            let effect = |change: &reference::Change| {
-                let effect = change.effect(model, Some(&run.data.mounting), false);
-                Effect { label: format!("{} in {name}", effect.place()), ..effect }
-            };
-            let effects: Vec<Effect> = changes.effects.iter().map(effect).collect();
-            let (since, session) = ("the runs identified from".into(), name.clone());
-            block.changes.push(Changes { since, session, effects: effects.clone(), ..Changes::default() });
-            block.effects.extend(effects);
-        }
-        if explained == block.disagreements.len() && explained > 0 {
+        };
+        block.effects.extend(causes.iter().flat_map(|cause| cause.effects.clone()));
+        block.changes.append(&mut causes);
+        let unnamed = block.disagreements.len() - explained;
+        if unnamed == 0 && explained > 0 {
             block.verdict = Verdict::Diagnosed;
         } else if explained > 0 && block.verdict == Verdict::Unexplained {
             block.verdict = Verdict::Partly;
         }
+        unnamed
     }
+
+    /// The fewest changes that explain what these runs differ by.
+    fn cause(&self, model: &TorqueModel, identified: &[Trial], differing: &[Differing]) -> Option<Changes> {
+        let mounting = differing.first()?.mounting;
+        if differing.iter().any(|run| run.mounting.angle_to(&mounting) >= SAME_MOUNTING) {
+            return None;
+        }
+        let trials: Vec<Trial> = differing.iter().map(|run| run.trial).collect();
+        // One of the runs may have all of what is left over.
+        let most = (trials.len() as f64).sqrt();
+        let explain = |changes: &reference::Changes| {
+            let agrees = |Differing { one, .. }: &Differing| {
+                changes.after.get(one.joint - 1).is_some_and(|rms| one.is_explained_at(most * rms))
+            };
+            !changes.effects.is_empty() && differing.iter().all(agrees)
+        };
+        for steps in 1..=self.diagnosis.steps {
+            let settings = plumbline_diagnose::Settings { steps, ..self.diagnosis.clone() };
+            let changes = reference::in_unseen(model, identified, &trials, &settings);
+            if explain(&changes) {
+                let session = differing.iter().map(|run| run.one.run.as_str()).collect::<Vec<_>>().join(" and ");
+                let effect = |change: &reference::Change| {
+                    let effect = change.effect(model, Some(&mounting), false);
+                    Effect { label: format!("{} in {session}", effect.place()), ..effect }
+                };
+                let (since, effects) =
+                    ("the runs identified from".into(), changes.effects.iter().map(effect).collect());
+                return Some(Changes { since, session, effects, ..Changes::default() });
+            }
+            if changes.effects.len() < steps {
+                return None;
+            }
+        }
+        None
+    }
+}
+
+/// An unseen run that differs from those identified from.
+struct Differing<'a> {
+    one: Disagreement,
+    mounting: Mounting,
+    trial: Trial<'a>,
 }
 
 pub fn trials<'a>(experiments: &'a [Experiment], runs: &[&Run]) -> Vec<Trial<'a>> {
@@ -281,7 +272,6 @@ mod tests {
     use super::*;
     use crate::dataset::Role;
     use nalgebra::DMatrix;
-    use plumbline_model::Mounting;
 
     /// Sines of all joints for 16 s; the first joint starts 10 mrad off, which decays within `decay` \[s\].
     fn sines(name: &str, joints: usize, decay: f64, period: Option<f64>) -> Run {

@@ -4,6 +4,7 @@ pub mod checks;
 pub mod collector;
 pub mod diagnosis;
 pub mod drawn;
+pub mod exchange;
 pub mod excitation;
 pub mod external;
 pub mod next;

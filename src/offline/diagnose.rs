@@ -1,8 +1,8 @@
 //! Diagnosis of recorded runs: effects that a plain model lacks.
 
-use crate::analysis::diagnosis::{self, Diagnosed, Question};
+use crate::analysis::diagnosis::{Diagnosed, Question};
 use crate::analysis::split::{Split, split};
-use crate::analysis::{checks, pipeline, sessions};
+use crate::analysis::{checks, exchange, pipeline, sessions};
 use crate::dataset::{Dataset, Run};
 use crate::failure::Failure;
 use crate::offline::identify::{self, Outcome};
@@ -91,8 +91,7 @@ pub(crate) fn diagnose_and_plan(
         diagnosis: &diagnosis,
         of: Of::Filtered,
     };
-    let (Diagnosed { after, mut block, figures: drawn, open }, identified, unseen) =
-        diagnosis::run_exchanging(&question)?;
+    let (Diagnosed { after, mut block, figures: drawn, open, .. }, identified, unseen) = exchange::run(&question)?;
     plan(&open, &mut block, &robot, dataset.mounting)?;
     let reference = sessions::Reference {
         robot: &robot,
