@@ -134,7 +134,8 @@ impl Question<'_> {
         block.changes.append(&mut causes);
         let unnamed = block.disagreements.len() - explained;
         if unnamed == 0 && explained > 0 {
-            block.verdict = Verdict::Diagnosed;
+            let rivals = block.effects.iter().any(|effect| !effect.alternatives.is_empty());
+            block.verdict = if rivals { Verdict::Ambiguous } else { Verdict::Diagnosed };
         } else if explained > 0 && block.verdict == Verdict::Unexplained {
             block.verdict = Verdict::Partly;
         }
