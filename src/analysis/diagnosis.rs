@@ -116,9 +116,9 @@ impl Question<'_> {
             return block.disagreements.len();
         }
         let differs = |(run, trial): (&&Run, &Trial<'a>)| {
-            let one = block.disagreements.iter().find(|one| one.run == run.data.name)?.clone();
+            let by = block.disagreements.iter().find(|one| one.run == run.data.name)?.clone();
             let valid = model.valid_in(&run.data.mounting).is_ok();
-            valid.then_some(Differing { one, mounting: run.data.mounting, trial: *trial })
+            valid.then_some(Differing { by, mounting: run.data.mounting, trial: *trial })
         };
         let differing: Vec<Differing> = self.unseen.iter().zip(unseen).filter_map(differs).collect();
         let cause = |differing: &[Differing]| self.cause(model, identified, differing);
@@ -152,8 +152,8 @@ impl Question<'_> {
         // One of the runs may have all of what is left over.
         let most = (trials.len() as f64).sqrt();
         let explain = |changes: &reference::Changes| {
-            let agrees = |Differing { one, .. }: &Differing| {
-                changes.after.get(one.joint - 1).is_some_and(|rms| one.is_explained_at(most * rms))
+            let agrees = |Differing { by, .. }: &Differing| {
+                changes.after.get(by.joint - 1).is_some_and(|rms| by.is_explained_at(most * rms))
             };
             !changes.effects.is_empty() && differing.iter().all(agrees)
         };
@@ -161,7 +161,7 @@ impl Question<'_> {
             let settings = plumbline_diagnose::Settings { steps, ..self.diagnosis.clone() };
             let changes = reference::in_unseen(model, identified, &trials, &settings);
             if explain(&changes) {
-                let session = differing.iter().map(|run| run.one.run.as_str()).collect::<Vec<_>>().join(" and ");
+                let session = differing.iter().map(|run| run.by.run.as_str()).collect::<Vec<_>>().join(" and ");
                 let effect = |change: &reference::Change| {
                     let effect = change.effect(model, Some(&mounting), false);
                     Effect { label: format!("{} in {session}", effect.place()), ..effect }
@@ -180,7 +180,7 @@ impl Question<'_> {
 
 /// An unseen run that differs from those identified from.
 struct Differing<'a> {
-    one: Disagreement,
+    by: Disagreement,
     mounting: Mounting,
     trial: Trial<'a>,
 }

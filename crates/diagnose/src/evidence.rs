@@ -220,24 +220,23 @@ impl Evidence {
 
     /// The same in the lowest `bands` of [`BAND_EDGES_HZ`] alone.
     pub fn floor_below(&self, joint: usize, bands: usize) -> Option<f64> {
-        self.noise_below(joint, bands, |_of_row, _periods, sigma| sigma * sigma)
+        self.noise_below(joint, bands, |own| own)
     }
 
     /// The same of the mean of so many `periods`, which leaves what every period repeats.
     pub fn floor_of_periods_below(&self, joint: usize, bands: usize, periods: f64) -> Option<f64> {
-        self.noise_below(joint, bands, |repeated, of_mean, sigma| {
-            repeated + (sigma * sigma - repeated).max(0.0) * of_mean / periods
-        })
+        self.noise_below(joint, bands, |_own| periods)
     }
 
-    /// Noise of this power in each row: of what its periods repeat, their number, and the deviation of their mean.
-    fn noise_below(&self, joint: usize, bands: usize, power: impl Fn(f64, f64, f64) -> f64) -> Option<f64> {
-        let of_cell = |cell: &Cell| {
-            let periods = self.periods[self.folds[cell.fold].experiment];
-            let rows = self.repeated[joint][cell.rows.clone()].iter().zip(&self.sigma[joint][cell.rows.clone()]);
-            rows.map(|(repeated, sigma)| power(*repeated, periods, *sigma)).sum::<f64>()
+    /// Noise of the mean of some periods, by the number that an experiment has.
+    fn noise_below(&self, joint: usize, bands: usize, periods: impl Fn(f64) -> f64) -> Option<f64> {
+        let power = |cell: &Cell| {
+            let own = self.periods[self.folds[cell.fold].experiment];
+            let ratio = own / periods(own);
+            let rows = self.sigma[joint][cell.rows.clone()].iter().zip(&self.repeated[joint][cell.rows.clone()]);
+            rows.map(|(sigma, repeated)| repeated + ratio * (sigma * sigma - repeated).max(0.0)).sum::<f64>()
         };
-        let power: f64 = self.cells_below(joint, bands).map(of_cell).sum();
+        let power: f64 = self.cells_below(joint, bands).map(power).sum();
         self.repeats.then(|| (power / self.samples()).sqrt())
     }
 
