@@ -102,9 +102,9 @@ pub fn search_on(bar: &Bar) -> impl Fn(Progress) + Sync + '_ {
 }
 
 impl Question<'_> {
-    /// Searches the runs that differ from the identified ones for what changed in them, as against a stored model: in all of them together, or else in each. Only
-    /// what explains the difference is named, and nothing where the model lacks something in its own runs: changes would be named for that. Returns the number of runs
-    /// that differ without a name.
+    /// Searches the runs that differ from the identified ones for what changed in them, as against a stored model: in all of them together, or else in
+    /// each. Only what explains the difference is named, and nothing where the model lacks something in its own runs: changes would be named for that.
+    /// Returns the number of runs that differ without a name.
     fn name_disagreements<'a>(
         &self,
         model: &TorqueModel,
@@ -134,8 +134,7 @@ impl Question<'_> {
         block.changes.append(&mut causes);
         let unnamed = block.disagreements.len() - explained;
         if unnamed == 0 && explained > 0 {
-            let rivals = block.effects.iter().any(|effect| !effect.alternatives.is_empty());
-            block.verdict = if rivals { Verdict::Ambiguous } else { Verdict::Diagnosed };
+            block.verdict = Verdict::of_all(&block.effects);
         } else if explained > 0 && block.verdict == Verdict::Unexplained {
             block.verdict = Verdict::Partly;
         }

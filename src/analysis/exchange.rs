@@ -18,7 +18,8 @@ const COST_OF_OTHERS: usize = 3;
 /// and one thing without a name: two effects are rather believed.
 const COST_OF_NAMELESS: usize = 4;
 
-/// Diagnoses runs of one arm; an unseen run that differs is identified from, too, where that explains more with less. Returns the runs that were identified from and the unseen ones.
+/// Diagnoses runs of one arm; an unseen run that differs is identified from, too, where that explains more with less. Returns the runs that were
+/// identified from and the unseen ones.
 pub fn run<'a>(question: &Question<'a>) -> Result<(Diagnosed, Vec<&'a Run>, Vec<&'a Run>), Failure> {
     let first = diagnosis::run(question)?;
     let second = exchanged(question, &first.block).and_then(|(identify, unseen)| {
@@ -51,7 +52,8 @@ fn kinds(of: &Diagnosis) -> usize {
     of.effects.iter().map(|effect| (&effect.id, &effect.joints)).collect::<BTreeSet<_>>().len()
 }
 
-/// What a verdict asks to believe: more where an effect acts in some runs only than in all of them, and most where a joint or run has something without a name.
+/// What a verdict asks to believe: more where an effect acts in some runs only than in all of them, and most where a joint or run has something
+/// without a name.
 fn cost((of, unnamed): (&Diagnosis, usize)) -> usize {
     let of_model = of.effects.iter().filter(|effect| effect.in_model).count();
     let others = of.effects.len() - of_model;

@@ -460,13 +460,11 @@ fn counts(residual: &Residual, joints: &[JointFacts]) -> bool {
 
 fn verdict(effects: &[Effect], complete: bool, determined: bool) -> Verdict {
     let found = effects.iter().any(Effect::counts);
-    let rivals = effects.iter().any(|effect| effect.counts() && !effect.alternatives.is_empty());
     match (found, !complete) {
         (false, false) if determined => Verdict::NothingSignificant,
         (false, false) => Verdict::NotDetermined,
         (false, true) => Verdict::Unexplained,
         (true, true) => Verdict::Partly,
-        (true, false) if rivals => Verdict::Ambiguous,
-        (true, false) => Verdict::Diagnosed,
+        (true, false) => Verdict::of_all(effects.iter().filter(|effect| effect.counts())),
     }
 }

@@ -65,11 +65,12 @@ pub fn disagreements(
         }
         let model = Unseen::of_model(&of_run, fitted, trials);
         let periods = trial.experiment.averaged_periods() as f64;
+        let noise = |joint: usize| evidence.floor_of_periods_below(joint, bands, periods).unwrap_or(0.0).powi(2);
+        let noise: Vec<f64> = (0..of_run.joints()).map(noise).collect();
         let joint = |deviations: f64, joint: usize| {
             let square = mean_square_below(&of_run, joint, &model.residual(joint, &beta), bands);
             let parameters = model.variance(joint, &fitted.identification.covariance, bands);
-            let noise = evidence.floor_of_periods_below(joint, bands, periods).unwrap_or(0.0).powi(2);
-            let expected = (noise + lacks[joint] + deviations * deviations * parameters).sqrt();
+            let expected = (noise[joint] + lacks[joint] + deviations * deviations * parameters).sqrt();
             let alone = FALSE_ALARM_PROBABILITY / (unseen.len() * of_run.joints()) as f64;
             let of_noise = || mean_square_ratio(alone, of_run.rows_of_noise_below(joint, bands), freedom[joint]).sqrt();
             let ratio = if evidence.repeats() { of_noise() } else { 0.0 };

@@ -6,11 +6,13 @@
 //! left out, and the noise of the coefficients is nearly independent. Every coefficient is divided by the standard deviation of its
 //! noise, which repetitions tell; without them by 1 Nm, and the scale of each band is estimated with the model.
 
+mod noise;
+
 use super::fold::{BLOCK_LIMITS_S, Fold, Thinned, Thinning, folds_of};
 use super::rows::Rows;
 use super::span::Span;
 use nalgebra::{DMatrix, DVector};
-use plumbline_identify::{Experiment, NoisePower, Scatter, Timeline};
+use plumbline_identify::{Experiment, Timeline};
 use plumbline_model::term::effect::OperatingPoint;
 use plumbline_model::term::{Motion, Term};
 use plumbline_model::{Chain, Structure};
@@ -156,7 +158,7 @@ impl Evidence {
             steps.fold(0.0, f64::max)
         };
         let repeats = known.iter().all(|trial| trial.experiment.scatter.is_some());
-        let (sigma, repeated) = (0..joints).map(|joint| noise(trials, known, &folds, joint, repeats)).unzip();
+        let (sigma, repeated) = (0..joints).map(|joint| noise::of_rows(trials, known, &folds, joint, repeats)).unzip();
         Evidence {
             joints,
             folds,
@@ -211,57 +213,6 @@ impl Evidence {
     /// (times `sigma`) over this.
     pub fn samples(&self) -> f64 {
         self.folds.iter().map(|fold| fold.samples.len() as f64).sum()
-    }
-
-    /// RMS of the noise of a joint's mean periods in the band \[Nm\]; nothing without repeats.
-    pub fn floor(&self, joint: usize) -> Option<f64> {
-        self.floor_below(joint, BAND_EDGES_HZ.len())
-    }
-
-    /// The same in the lowest `bands` of [`BAND_EDGES_HZ`] alone.
-    pub fn floor_below(&self, joint: usize, bands: usize) -> Option<f64> {
-        self.noise_below(joint, bands, |own| own)
-    }
-
-    /// The same of the mean of so many `periods`, which leaves what every period repeats.
-    pub fn floor_of_periods_below(&self, joint: usize, bands: usize, periods: f64) -> Option<f64> {
-        self.noise_below(joint, bands, |_own| periods)
-    }
-
-    /// Noise of the mean of some periods, by the number that an experiment has.
-    fn noise_below(&self, joint: usize, bands: usize, periods: impl Fn(f64) -> f64) -> Option<f64> {
-        let power = |cell: &Cell| {
-            let own = self.periods[self.folds[cell.fold].experiment];
-            let ratio = own / periods(own);
-            let rows = self.sigma[joint][cell.rows.clone()].iter().zip(&self.repeated[joint][cell.rows.clone()]);
-            rows.map(|(sigma, repeated)| repeated + ratio * (sigma * sigma - repeated).max(0.0)).sum::<f64>()
-        };
-        let power: f64 = self.cells_below(joint, bands).map(power).sum();
-        self.repeats.then(|| (power / self.samples()).sqrt())
-    }
-
-    /// Number of rows of equal noise whose mean square scatters as much as that of a joint's noise: `(sum s^2)^2 / sum s^4`. Where noise is slow only
-    /// the lowest frequencies have a say.
-    pub fn rows_of_noise_below(&self, joint: usize, bands: usize) -> f64 {
-        self.freedom(joint, bands, |_periods| 1.0)
-    }
-
-    /// Degrees of freedom of a joint's noise as the scatter between periods tells it, by Satterthwaite.
-    pub fn freedom_of_noise_below(&self, joint: usize, bands: usize) -> f64 {
-        self.freedom(joint, bands, |periods| periods - 1.0)
-    }
-
-    /// Degrees of freedom of a sum of squares when each has those of its number of periods.
-    fn freedom(&self, joint: usize, bands: usize, of_each: impl Fn(f64) -> f64) -> f64 {
-        let (mut sum, mut variance) = (0.0, 0.0);
-        for cell in self.cells_below(joint, bands) {
-            let freedom = of_each(self.periods[self.folds[cell.fold].experiment]);
-            for sigma in &self.sigma[joint][cell.rows.clone()] {
-                sum += sigma.powi(2);
-                variance += sigma.powi(4) / freedom;
-            }
-        }
-        sum * sum / variance
     }
 
     fn cells_below(&self, joint: usize, bands: usize) -> impl Iterator<Item = &Cell> {
@@ -482,21 +433,4 @@ fn cells_of(joint: usize, fold: usize, of: &Fold) -> Vec<Cell> {
         }
     }
     cells
-}
-
-/// Standard deviation of the noise of each row of a joint, that of the mean period, and the variance in it that every period repeats; from all experiments
-/// that are `known` together.
-fn noise(trials: &[Trial], known: &[Trial], folds: &[Fold], joint: usize, repeats: bool) -> (Vec<f64>, Vec<f64>) {
-    let scatters: Vec<&Scatter> = known.iter().filter_map(|trial| trial.experiment.scatter.as_ref()).collect();
-    let power = NoisePower::of(&scatters, joint);
-    let of_row = |(fold, frequency): (&Fold, f64)| {
-        if !repeats {
-            return (1.0, 0.0);
-        }
-        let experiment = trials[fold.experiment].experiment;
-        let of_mean = |periods: f64| power.of_mean(periods, frequency, experiment.motion.dt);
-        // Torques that repeat to the last bit have no noise; a thousandth of a milli-newton-metre stands for it.
-        (of_mean(experiment.averaged_periods() as f64).sqrt().max(1e-6), of_mean(f64::INFINITY))
-    };
-    folds.iter().flat_map(|fold| fold.frequencies.iter().map(move |frequency| (fold, *frequency))).map(of_row).unzip()
 }

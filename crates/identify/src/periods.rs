@@ -301,22 +301,24 @@ impl NoisePower {
         NoisePower { recordings: scatters.iter().map(recording).collect() }
     }
 
-    /// That of the mean of so many `periods` over the frequencies near `frequency` \[Hz\], in the units of [`Scatter::power`] for samples `dt` apart \[s\].
-    pub fn of_mean(&self, periods: f64, frequency: f64, dt: f64) -> f64 {
+    /// Means over the frequencies near `frequency` \[Hz\], in the units of [`Scatter::power`] for samples `dt` apart \[s\]: of the scatter of one period, and of
+    /// what every period repeats.
+    pub fn at(&self, frequency: f64, dt: f64) -> [f64; 2] {
         for more in 0.. {
-            let (mut power, mut freedom, mut whole) = (0.0, 0.0, true);
-            for Recording { width, freedom: own, below: [scattered, repeated] } in &self.recordings {
-                let bins = scattered.len() - 1;
+            let (mut powers, mut freedom, mut whole) = ([0.0; 2], 0.0, true);
+            for Recording { width, freedom: own, below } in &self.recordings {
+                let bins = below[0].len() - 1;
                 let bin = |frequency: f64| ((frequency / width).round() as usize).min(bins - 1);
                 let low = bin(frequency / SMOOTHING_RATIO).saturating_sub(more);
                 let high = (bin(frequency * SMOOTHING_RATIO).max(low + 1) + more).min(bins - 1);
-                let within = |below: &Vec<f64>| (below[high + 1] - below[low]) / dt;
-                power += own * (within(scattered) / periods + within(repeated));
+                for (power, below) in powers.iter_mut().zip(below) {
+                    *power += own * (below[high + 1] - below[low]) / dt;
+                }
                 freedom += own * (high + 1 - low) as f64;
                 whole &= low == 0 && high == bins - 1;
             }
             if freedom >= MIN_FREEDOM || whole {
-                return power / freedom.max(f64::MIN_POSITIVE);
+                return powers.map(|power| power / freedom.max(f64::MIN_POSITIVE));
             }
         }
         unreachable!("the whole spectrum is the widest")

@@ -33,7 +33,6 @@ use courses::{Courses, Deviations};
 use events::Events;
 use nalgebra::{DMatrix, DVector};
 use plumbline_core::{parallel, threads};
-use plumbline_identify::signal::spectral::Spectral;
 use plumbline_identify::{ExcludedSpan, Experiment, Scatter};
 use plumbline_model::term::Motion;
 use plumbline_model::term::effect::{OperatingPoint, Spec};
@@ -430,31 +429,19 @@ fn left_out(record: &Record, masked: &[bool]) -> Vec<ExcludedSpan> {
 /// Scatter at the full rate without what is `known` on the grid, the `lines` at the full rate, and the masked rows of the grid.
 fn scatter(record: &Record, known: &DMatrix<f64>, lines: Option<&DMatrix<f64>>, masked: &[bool]) -> Scatter {
     let (samples, step) = (record.experiment.motion.samples(), record.step);
-    let (periods, joints) = (record.periods(), record.joints());
-    let dt = record.experiment.motion.dt;
-    let spectral = Spectral::new(samples, dt);
-    let (mut std, mut power) = (vec![0.0; joints], DMatrix::zeros(spectral.bins(), joints));
-    let rows = periods * samples;
-    let told = (rows - masked.iter().filter(|masked| **masked).count() * step).saturating_sub(samples).max(1);
-    for joint in 0..joints {
-        let left = |row: usize| {
-            let line = lines.map_or(0.0, |lines| lines[(row, joint)]);
-            record.repeats.tau[(row, joint)] - known[(row / step, joint)] - line
-        };
-        let mut x: Vec<f64> = (0..rows).map(left).collect();
+    let rows = record.periods() * samples;
+    let counted: Vec<bool> = (0..rows).map(|row| !masked[row / step]).collect();
+    let mut deviations = DMatrix::from_fn(rows, record.joints(), |row, joint| {
+        let line = lines.map_or(0.0, |lines| lines[(row, joint)]);
+        record.repeats.tau[(row, joint)] - known[(row / step, joint)] - line
+    });
+    for mut x in deviations.column_iter_mut() {
         for k in 0..samples {
             let own = (k..rows).step_by(samples);
-            let counted = own.clone().filter(|row| !masked[row / step]);
-            let (sum, count) = counted.fold((0.0, 0.0), |(sum, count), row| (sum + x[row], count + 1.0));
-            own.for_each(|row| x[row] = if masked[row / step] { 0.0 } else { x[row] - sum / f64::max(count, 1.0) });
-        }
-        std[joint] = (x.iter().map(|value| value * value).sum::<f64>() / told as f64).sqrt();
-        for period in x.chunks(samples) {
-            for (bin, value) in spectral.transform(period).iter().enumerate() {
-                power[(bin, joint)] += value.norm_sqr() / told as f64;
-            }
+            let told = own.clone().filter(|row| counted[*row]);
+            let (sum, count) = told.fold((0.0, 0.0), |(sum, count), row| (sum + x[row], count + 1.0));
+            own.for_each(|row| x[row] = if counted[row] { x[row] - sum / f64::max(count, 1.0) } else { 0.0 });
         }
     }
-    let repeated = DMatrix::zeros(power.nrows(), joints);
-    Scatter { periods, std, power, repeated, samples, dt }
+    Scatter::of(&deviations, &counted, samples, record.experiment.motion.dt)
 }

@@ -1,5 +1,6 @@
 //! What a diagnosis came to in a word, and what its findings could be tested on.
 
+use super::Effect;
 use serde::{Deserialize, Serialize};
 use std::fmt;
 
@@ -23,6 +24,12 @@ pub enum Verdict {
 }
 
 impl Verdict {
+    /// Of effects that explain all: whether one of them has a rival.
+    pub fn of_all<'e>(effects: impl IntoIterator<Item = &'e Effect>) -> Verdict {
+        let rivals = effects.into_iter().any(|effect| !effect.alternatives.is_empty());
+        if rivals { Verdict::Ambiguous } else { Verdict::Diagnosed }
+    }
+
     /// Its name in files.
     pub fn id(self) -> &'static str {
         match self {

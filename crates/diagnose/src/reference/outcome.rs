@@ -47,14 +47,12 @@ impl Comparison<'_> {
         });
         let joints = joints(changes);
         let unexplained: Vec<Unexplained> = joints.iter().enumerate().filter_map(unexplained).collect();
-        let ambiguous = effects.iter().any(|effect| !effect.alternatives.is_empty());
         let verdict = match (effects.is_empty(), unexplained.is_empty()) {
             (true, _) if changes.folds == 0 => Verdict::Unexplained,
             (true, true) => Verdict::NothingSignificant,
             (true, false) => Verdict::Unexplained,
             (false, false) => Verdict::Partly,
-            (false, true) if ambiguous => Verdict::Ambiguous,
-            (false, true) => Verdict::Diagnosed,
+            (false, true) => Verdict::of_all(&effects),
         };
         let confirmation = match (changes.floor.is_some(), changes.folds) {
             (false, _) => Confirmation::NoRepeats,

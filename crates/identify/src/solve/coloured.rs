@@ -54,7 +54,10 @@ impl Noise {
             let dt = scatter.samples as f64 * scatter.dt / kept as f64;
             let own = Spectral::new(kept, dt);
             let power = |joint: usize| {
-                let at = |m: usize| smooth[joint].of_mean(periods, own.frequency(m), scatter.dt);
+                let at = |m: usize| {
+                    let [scattered, repeated] = smooth[joint].at(own.frequency(m), scatter.dt);
+                    scattered / periods + repeated
+                };
                 (0..own.bins()).map(at).collect()
             };
             let filtered = |joint: usize| both_sides(scatter.samples, |m| white(m) * scatter.power_of_mean(m, joint));
