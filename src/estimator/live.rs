@@ -17,6 +17,7 @@ use plumbline_diagnose::reference;
 use plumbline_identify::{Experiment, Settings};
 
 use plumbline_ipc::{Proposal, Status};
+use plumbline_model::term::effect::Spec;
 use plumbline_model::{Mounting, Robot, TorqueModel};
 use std::collections::VecDeque;
 use std::path::{Path, PathBuf};
@@ -60,14 +61,21 @@ struct Change {
     wanted: f64,
     /// Whether earlier models were tried.
     returned: bool,
+    /// Since when the model that was found for it does not hold, where that was found from few samples \[s\].
+    doubted: Option<f64>,
+}
+
+impl Change {
+    fn new(since: f64, before: u64, wanted: f64) -> Change {
+        Change { since, before, wanted, returned: false, doubted: None }
+    }
 }
 
 struct Search {
-    /// Start of the search, and of the change \[s\].
+    /// Start of the search \[s\].
     t: f64,
-    since: f64,
-    /// Model that held before the change, and the one that was served at the start.
-    before: u64,
+    change: Change,
+    /// Model that was served at the start.
     model: u64,
     found: JoinHandle<Found>,
 }
@@ -100,6 +108,8 @@ pub struct Live {
     samples_since_stretch: usize,
     /// The change that is looked for, and refined once it was found.
     change: Option<Change>,
+    /// The effects that were found for it.
+    effects: Vec<Spec>,
     /// Whether a proposal was rejected since the model was lost.
     silent: bool,
     /// Whether searches block, as in simulated time, which would otherwise run ahead.
@@ -134,6 +144,7 @@ impl Live {
             buffer: VecDeque::new(),
             samples_since_stretch: 0,
             change: None,
+            effects: Vec::new(),
             silent: false,
             wait_for_search: job.backend.is_fast(),
             searching: None,
@@ -252,6 +263,7 @@ impl Live {
         self.serving = record.model;
         self.proposed = None;
         self.silent = false;
+        self.change.iter_mut().for_each(|change| change.doubted = None);
         self.watch.iter_mut().for_each(Watch::reset);
     }
 
@@ -278,8 +290,12 @@ impl Live {
         match news {
             News::Lost { since, joint, rms, floor } => {
                 let since = self.onset(since).unwrap_or(since);
-                // Another change than the one that was found, if any.
-                self.change = Some(Change { since, before: self.serving, wanted: self.window, returned: false });
+                // Another change than the one that was found, if any; or that was found from too few samples.
+                let refined = |change: &Change| change.before != self.serving;
+                self.change = Some(match self.change.filter(refined) {
+                    Some(change) => Change { doubted: Some(since), ..change },
+                    None => Change::new(since, self.serving, self.window),
+                });
                 tracing::warn!(
                     "since {since:.1} s the served model does not hold: joint {} has an error of {rms:.3} Nm, usually {floor:.3}",
                     joint + 1
@@ -311,7 +327,7 @@ impl Live {
         // The low-pass has transients at both ends.
         let ends = self.samples(END_MARGIN_S).min(residual.nrows() / 3);
         let inside = residual.rows(ends, residual.nrows() - 2 * ends).into_owned();
-        let at = onset(&inside, &self.watch.as_ref()?.floor().usual);
+        let at = onset(&inside, &self.watch.as_ref()?.floor().usual, self.samples(0.5 * STRETCH_S));
         Some(self.buffer[first + cut + ends + at].state.time)
     }
 
@@ -334,12 +350,19 @@ impl Live {
         }
         let after = self.buffer.partition_point(|record| record.state.time < change.since + CHANGE_MARGIN_S);
         let count = self.buffer.len() - after;
-        if count < self.samples(change.wanted) {
+        if count < self.samples(change.wanted) && change.doubted.is_none() {
             return Ok(None);
         }
-        self.change = (change.wanted < REFINED_S).then_some(Change { wanted: 2.0 * change.wanted, ..change });
+        // Once more, with more samples.
+        if let Some(offer) = if found { None } else { self.earlier(change.since, after)? } {
+            return Ok(Some(offer));
+        }
+        let wanted = if change.doubted.is_some() { change.wanted } else { 2.0 * change.wanted };
+        self.change = (change.wanted < REFINED_S).then_some(Change { wanted, doubted: None, ..change });
         let middle = after + live::divide(count);
-        let parts = (self.prepared(after, middle), self.prepared(middle, self.buffer.len()));
+        // Of a model that is doubted the last samples tell most.
+        let (find, judge) = if change.doubted.is_some() { (self.buffer.len(), after) } else { (middle, middle) };
+        let parts = (self.prepared(after, find), self.prepared(judge, self.buffer.len()));
         let served = self.proposed.filter(|_| self.adopt == Adopt::Ask).unwrap_or(self.serving);
         let ((Some(find), Some(judge)), Some(lost), Some(served)) =
             (parts, self.model(change.before).cloned(), self.model(served).cloned())
@@ -350,8 +373,7 @@ impl Live {
         let settings = plumbline_diagnose::Settings { threads, ..plumbline_diagnose::Settings::default() };
         // The search has its own thread: samples have to be acknowledged meanwhile.
         let found = std::thread::spawn(move || live::search(&lost, &served, &find, &judge, &settings));
-        self.searching =
-            Some(Search { t: self.now(), since: change.since, before: change.before, model: self.serving, found });
+        self.searching = Some(Search { t: self.now(), change, model: self.serving, found });
         self.collect(self.wait_for_search)
     }
 
@@ -360,7 +382,8 @@ impl Live {
         let (Some(experiment), Some(watch)) = (self.prepared(first, self.buffer.len()), &self.watch) else {
             return Ok(None);
         };
-        let holds = |known: &&Known| known.id != self.serving && live::holds(&known.model, &experiment, watch.floor());
+        let holds =
+            |known: &&Known| known.id != self.serving && live::holds(&known.model, &experiment, watch.floor(), 0.0);
         let Some(known) = self.models.iter().rev().find(holds) else { return Ok(None) };
         let errors = |model: &TorqueModel| {
             let residual = live::residual(model, &experiment);
@@ -376,7 +399,7 @@ impl Live {
 
     /// Returns the result of an ended search; with `wait`, blocks until its end.
     pub fn collect(&mut self, wait: bool) -> Result<Option<OfferedModel>, Failure> {
-        let Some(Search { t, since, before, model, found }) =
+        let Some(Search { t, change: Change { since, before, doubted, .. }, model, found }) =
             self.searching.take_if(|one| wait || one.found.is_finished())
         else {
             return Ok(None);
@@ -386,7 +409,15 @@ impl Live {
             return Ok(None);
         }
         let offer = match found {
-            Found::Remedy(remedy) => Some(self.propose(t, since, before, *remedy)?),
+            Found::Remedy(remedy) if doubted.is_none_or(|doubted| self.refines(since, doubted, &remedy)) => {
+                Some(self.propose(t, since, before, *remedy)?)
+            }
+            // It is another change.
+            _ if doubted.is_some() => {
+                self.change = doubted.map(|since| Change::new(since, self.serving, self.window));
+                None
+            }
+            Found::Remedy(_) => None,
             // What is served is as good as what more samples tell.
             Found::Nothing { .. } if before != self.serving || self.proposed.is_some() => None,
             Found::Nothing { tried, before: rms } => {
@@ -399,6 +430,18 @@ impl Live {
         };
         self.write()?;
         Ok(offer)
+    }
+
+    /// Whether a model with the same effects as the one that is doubted holds ever since they came, and since it is doubted.
+    fn refines(&self, since: f64, doubted: f64, remedy: &Remedy) -> bool {
+        let first = self.buffer.partition_point(|record| record.state.time < since + CHANGE_MARGIN_S);
+        let known = |change: &reference::Change| self.effects.iter().any(|spec| change.spec.is_same_effect(spec));
+        let last = self.now() - doubted;
+        let holds =
+            |(experiment, watch): (Experiment, &Watch)| live::holds(&remedy.model, &experiment, watch.floor(), last);
+        remedy.changes.len() == self.effects.len()
+            && remedy.changes.iter().all(known)
+            && self.prepared(first, self.buffer.len()).zip(self.watch.as_ref()).is_some_and(holds)
     }
 
     fn propose(&mut self, t: f64, since: f64, lost: u64, remedy: Remedy) -> Result<OfferedModel, Failure> {
@@ -416,6 +459,7 @@ impl Live {
         let toml = file.to_toml();
         crate::atomic::write_result(&self.out.join("model-live.toml"), toml.as_bytes())?;
         let effects = self.effects(lost, &changes);
+        self.effects = changes.iter().map(|change| change.spec.clone()).collect();
         let id = model_identity(&toml);
         self.models.push(Known { id, model: file.model, toml: toml.clone() });
         self.offer(t, since, id, what, effects, [before, after], toml)

@@ -12,7 +12,7 @@ const COARSE: [&str; 3] = ["excitation.starts=1", "excitation.rounds=0", "excita
 const PICKED_UP: f64 = 110.0;
 const PUT_DOWN: f64 = 155.0;
 
-fn job(place: &Place, subcommand: &str, more: &[&str]) -> Command {
+pub fn job(place: &Place, subcommand: &str, more: &[&str]) -> Command {
     let sets: Vec<&str> = COARSE.iter().chain(more).copied().collect();
     place.reuse_plans(JOB, &sets);
     let mut command = plumbline();
@@ -25,11 +25,11 @@ fn job(place: &Place, subcommand: &str, more: &[&str]) -> Command {
     command
 }
 
-fn live(place: &Place) -> Value {
+pub fn live(place: &Place) -> Value {
     serde_json::from_str(&std::fs::read_to_string(place.out().join("live.json")).unwrap()).unwrap()
 }
 
-fn events<'v>(log: &'v Value, kind: &str) -> Vec<&'v Value> {
+pub fn events<'v>(log: &'v Value, kind: &str) -> Vec<&'v Value> {
     log["events"].as_array().unwrap().iter().filter(|event| event["event"] == kind).collect()
 }
 
@@ -45,7 +45,7 @@ fn served(log: &Value, from: f64, to: f64) -> f64 {
 }
 
 /// Time of an event \[s\].
-fn time(event: &Value) -> f64 {
+pub fn time(event: &Value) -> f64 {
     event["t"].as_f64().unwrap()
 }
 

@@ -17,6 +17,7 @@ mod flight_recorder;
 mod guide;
 mod held_out_errors;
 mod killed;
+mod live_steps;
 mod live_watch;
 mod main_job;
 mod metrics;

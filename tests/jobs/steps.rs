@@ -20,25 +20,33 @@ const MAX_TIME_ERROR_S: f64 = 0.3;
 /// Goal for the share of steps that are named in the right joint with nothing beside.
 const MIN_RIGHT_RATIO: f64 = 0.95;
 
-struct Step {
-    /// Entry of the arm file.
-    text: String,
+pub struct Step {
+    /// Keys of its entry in the arm file, but for its times.
+    pub text: String,
     /// What the diagnosis has to call it, and its joints, from 1.
-    id: &'static str,
-    joints: Vec<usize>,
+    pub id: &'static str,
+    pub joints: Vec<usize>,
     /// Mass of a payload \[kg\].
-    mass: Option<f64>,
+    pub mass: Option<f64>,
     /// Its time on the arm's clock \[s\].
-    from: f64,
+    pub from: f64,
+}
+
+impl Step {
+    /// Entry of the arm file.
+    pub fn entry(&self, until: Option<f64>) -> String {
+        let until = until.map_or_else(String::new, |until| format!("until = {until}\n"));
+        format!("[[effect]]\n{}\nfrom = {}\n{until}", self.text, self.from)
+    }
 }
 
 /// A run to identify from: its name, and begin and end on the arm's clock \[s\].
 type Recorded = (String, Range<f64>);
 
 /// Tools, knocks and cold grease: each is some times the noise in some joint.
-fn draw(seed: u64) -> Step {
+pub fn draw(seed: u64, times: Range<f64>) -> Step {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    let from = rng.random_range(TIMES_S);
+    let from = rng.random_range(times);
     let joint = rng.random_range(1..=7);
     let sign = if rng.random() { 1.0 } else { -1.0 };
     let (text, id, joints, mass) = match seed % 4 {
@@ -63,7 +71,7 @@ fn draw(seed: u64) -> Step {
             (text, "friction-change", vec![joint], None)
         }
     };
-    Step { text: format!("[[effect]]\n{text}\nfrom = {from}\n"), id, joints, mass, from }
+    Step { text, id, joints, mass, from }
 }
 
 /// From the log: `identify-upright.csv was recorded: 40000 samples, the first at 12.345 s of the arm's clock`.
@@ -97,11 +105,11 @@ struct Judged {
 }
 
 fn judge(seed: u64) -> Judged {
-    let step = draw(seed);
+    let step = draw(seed, TIMES_S);
     let place = Place::new(&format!("steps-{seed}"));
     let arm = place.path().join("arm.toml");
     let base = plumbline_testkit::path("config/arms/sim-panda.toml");
-    std::fs::write(&arm, format!("base = \"{}\"\n{}", base.display(), step.text)).unwrap();
+    std::fs::write(&arm, format!("base = \"{}\"\n{}", base.display(), step.entry(None))).unwrap();
     let mut command = demonstration(&place, "payload", Some(&seed.to_string()));
     command.arg("--set").arg(format!("backend.arm={}", arm.display()));
     JOB.iter().for_each(|set| {
@@ -125,7 +133,7 @@ fn judge(seed: u64) -> Judged {
     };
     let named: Vec<String> = diagnosis.effects.iter().map(Effect::place).collect();
     let ok = if judged.right && judged.in_time { "ok" } else { "MISS" };
-    let text = step.text.replace('\n', " ");
+    let text = step.entry(None).replace('\n', " ");
     println!("{ok} {seed} {text}| {} {named:?}, time off {off:?} s, mass off {mass:?}", diagnosis.verdict.id());
     judged
 }
@@ -142,9 +150,8 @@ fn tools_that_are_picked_up_in_motion_are_named_with_their_time() {
     }
 }
 
-#[test]
-#[ignore = "hil/steps/run.sh"]
-fn steps_while_an_arm_is_identified_are_named_with_their_time() {
+/// What `judge` says of `CASES` seeds from `SEED` on, `JOBS` at a time.
+pub fn each_seed<T: Send>(judge: impl Fn(u64) -> T + Sync) -> Vec<T> {
     let number = |name: &str, usual: u64| std::env::var(name).map_or(usual, |text| text.parse().expect("a number"));
     let (first, cases) = (number("SEED", 1), number("CASES", 100));
     let next = Mutex::new(first..first + cases);
@@ -159,7 +166,14 @@ fn steps_while_an_arm_is_identified_are_named_with_their_time() {
             });
         }
     });
-    let judged = judged.into_inner().unwrap();
+    judged.into_inner().unwrap()
+}
+
+#[test]
+#[ignore = "hil/steps/run.sh"]
+fn steps_while_an_arm_is_identified_are_named_with_their_time() {
+    let judged = each_seed(judge);
+    let cases = judged.len();
     let count = |of: &dyn Fn(&Judged) -> bool| judged.iter().filter(|one| of(one)).count();
     let (right, contacts) = (count(&|one| one.right), count(&|one| one.contact));
     println!(

@@ -38,6 +38,8 @@ const RELIED_ON: f64 = 0.75;
 const JUDGED_RATIO: f64 = 0.25;
 /// Largest error of the worst joint with the changes, as a share of the error without them, for a proposal.
 const MAX_REMAINING_RATIO: f64 = 0.8;
+/// A change that grows is followed back to its begin in at most so many steps.
+const MAX_ONSET_STEPS: usize = 10;
 /// Largest error of a refined model on the held-out samples, as a ratio to that of the served one.
 const MAX_REFINED_RATIO: f64 = 1.02;
 
@@ -86,12 +88,7 @@ pub struct Watch {
 impl Floor {
     /// Of the motion that the model was identified from, prepared like those that will be watched.
     pub fn of(model: &TorqueModel, experiment: &Experiment) -> Floor {
-        let residual = residual(model, experiment);
-        let inside = inside(experiment);
-        let stretch = ((STRETCH_S / experiment.motion.dt) as usize).clamp(1, inside.len().max(1));
-        let starts = (inside.start..(inside.end + 1).saturating_sub(stretch)).step_by(stretch);
-        let stretches: Vec<Vec<f64>> = starts.map(|first| rms(&residual, first..first + stretch)).collect();
-        Floor::from_stretches(&stretches)
+        Floor::from_stretches(&stretches(model, experiment))
     }
 
     /// From the RMS of stretches, per joint \[Nm\].
@@ -118,11 +115,16 @@ impl Floor {
         let square = (rms / self.usual[joint].max(f64::MIN_POSITIVE)).powi(2) / UNSEEN_RATIO;
         0.5 * self.freedom[joint] * (square * (1.0 - LOST_RATIO.powi(-2)) - 2.0 * LOST_RATIO.ln())
     }
+}
 
-    /// Whether errors of a longer time are the usual ones: nearer to them than to doubled ones.
-    pub fn holds(&self, rms: &[f64]) -> bool {
-        (0..rms.len()).all(|joint| self.ratio(joint, rms[joint]) < 0.0)
-    }
+/// RMS of measured minus modelled torque over each stretch of a motion without its ends, per joint \[Nm\].
+fn stretches(model: &TorqueModel, experiment: &Experiment) -> Vec<Vec<f64>> {
+    let residual = residual(model, experiment);
+    let inside = inside(experiment);
+    let stretch = ((STRETCH_S / experiment.motion.dt) as usize).clamp(1, inside.len().max(1));
+    // The last samples count most.
+    let begin = inside.start + inside.len() % stretch;
+    (begin..inside.end).step_by(stretch).map(|first| rms(&residual, first..first + stretch)).collect()
 }
 
 /// Sum of log likelihood ratios that is an alarm.
@@ -183,16 +185,30 @@ impl Watch {
     }
 }
 
-/// Sample at which a change came, in a residual that has it at its end: the one from which on most of the square, less half of what it is
-/// at the end, adds up, in the joint where it is largest. `usual` is the RMS without it.
-pub fn onset(residual: &DMatrix<f64>, usual: &[f64]) -> usize {
+/// Sample at which a change came, in a residual that has it at its end. `usual` is the RMS without it, `local` a number of samples: what a change does
+/// may grow with the motion, so what is found is looked for again in what ends so much later, until it comes no earlier.
+pub fn onset(residual: &DMatrix<f64>, usual: &[f64], local: usize) -> usize {
+    let mut at = begin(residual, usual, residual.nrows() / 4);
+    for _ in 0..MAX_ONSET_STEPS {
+        let end = (at + local).min(residual.nrows());
+        let earlier = begin(&residual.rows(0, end).into_owned(), usual, local);
+        if earlier >= at {
+            break;
+        }
+        at = earlier;
+    }
+    at
+}
+
+/// The sample from which on most of the square, less half of what it is in the last samples, adds up, in the joint where it is largest.
+fn begin(residual: &DMatrix<f64>, usual: &[f64], last: usize) -> usize {
     let count = residual.nrows();
-    let end = rms(residual, count - (count / 4).max(1)..count);
+    let end = rms(residual, count.saturating_sub(last.max(1))..count);
     let over = |joint: &usize| end[*joint] / usual[*joint].max(f64::MIN_POSITIVE);
     let Some(joint) = (0..end.len()).max_by(|a, b| over(a).total_cmp(&over(b))) else { return 0 };
     // The low-pass spreads a step over both sides: half of it is at the step.
     let level = (0.25 * end[joint].powi(2)).max(LOST_RATIO * usual[joint].powi(2));
-    let (mut sum, mut best) = (0.0, (0.0, count - 1));
+    let (mut sum, mut best) = (0.0, (0.0, count.saturating_sub(1)));
     for k in (0..count).rev() {
         sum += residual[(k, joint)].powi(2).min(4.0 * level) - level;
         if sum > best.0 {
@@ -253,9 +269,17 @@ pub fn search(
     Found::Remedy(Box::new(Remedy { changes: effects, model: extended, before, after }))
 }
 
-/// Whether a model predicts a motion with the usual errors.
-pub fn holds(model: &TorqueModel, experiment: &Experiment, floor: &Floor) -> bool {
-    floor.holds(&rms(&residual(model, experiment), inside(experiment)))
+/// Whether a model predicts a motion with the usual errors: a watch over it would not be alarmed, and errors of the last `seconds` are nearer to the usual
+/// ones than to doubled ones. False where the motion has no stretch.
+pub fn holds(model: &TorqueModel, experiment: &Experiment, floor: &Floor, seconds: f64) -> bool {
+    let stretches = stretches(model, experiment);
+    let mut watch = Watch::new(floor.clone());
+    let mut quiet = |(k, rms): (usize, &Vec<f64>)| watch.look(k as f64 * STRETCH_S, rms).is_none();
+    let last = &stretches[stretches.len().saturating_sub((seconds / STRETCH_S).ceil() as usize)..];
+    let ratio = |joint: usize| last.iter().map(|rms| floor.ratio(joint, rms[joint])).sum::<f64>();
+    !stretches.is_empty()
+        && stretches.iter().enumerate().all(&mut quiet)
+        && (0..floor.usual.len()).all(|joint| ratio(joint) <= 0.0)
 }
 
 /// Sample that divides a window into the part to search and the held-out part.
@@ -383,7 +407,7 @@ mod tests {
                 let residual = DMatrix::from_fn(2000, 2, |k, j| {
                     0.02 * rng.sample::<f64, _>(StandardNormal) + if j == 1 { value(k) } else { 0.0 }
                 });
-                let found = onset(&residual, &[0.02, 0.02]);
+                let found = onset(&residual, &[0.02, 0.02], 250);
                 assert!(found.abs_diff(at) <= 60, "{size}: {found}, not {at}");
             }
         }
