@@ -17,7 +17,6 @@ use plumbline_diagnose::reference;
 use plumbline_identify::{Experiment, Settings};
 
 use plumbline_ipc::{Proposal, Status};
-use plumbline_model::term::effect::Spec;
 use plumbline_model::{Mounting, Robot, TorqueModel};
 use std::collections::VecDeque;
 use std::path::{Path, PathBuf};
@@ -85,6 +84,8 @@ struct Known {
     id: u64,
     model: TorqueModel,
     toml: String,
+    /// How well the changes in it are known.
+    deviations: Vec<TorqueModel>,
 }
 
 pub struct Live {
@@ -108,15 +109,13 @@ pub struct Live {
     samples_since_stretch: usize,
     /// The change that is looked for, and refined once it was found.
     change: Option<Change>,
-    /// The effects that were found for it.
-    effects: Vec<Spec>,
     /// Whether a proposal was rejected since the model was lost.
     silent: bool,
     /// Whether searches block, as in simulated time, which would otherwise run ahead.
     wait_for_search: bool,
     searching: Option<Search>,
-    /// Identity of the model that was proposed to the daemon.
-    proposed: Option<u64>,
+    /// Identity of the model that was proposed to the daemon, and when the change came that it is for \[s\].
+    proposed: Option<(u64, f64)>,
     /// What the daemon is to be told about its model.
     verdict: Option<Verdict>,
     log: Log,
@@ -144,7 +143,6 @@ impl Live {
             buffer: VecDeque::new(),
             samples_since_stretch: 0,
             change: None,
-            effects: Vec::new(),
             silent: false,
             wait_for_search: job.backend.is_fast(),
             searching: None,
@@ -169,7 +167,8 @@ impl Live {
         let floor = Floor::of(model, &pipeline::experiment(&part, &self.settings)?);
         (self.log.usual, self.log.limit) = (floor.usual.clone(), floor.limit.clone());
         self.noise_floor = noise_floor.to_vec();
-        self.models = vec![Known { id: model_identity(text), model: model.clone(), toml: text.into() }];
+        self.models =
+            vec![Known { id: model_identity(text), model: model.clone(), toml: text.into(), deviations: Vec::new() }];
         self.watch = Some(Watch::new(floor));
         Ok(())
     }
@@ -223,7 +222,7 @@ impl Live {
 
     /// Processes the daemon's status: a proposal that is neither pending nor served was rejected.
     pub fn process_status(&mut self, status: &Status) {
-        let Some(proposed) = self.proposed else { return };
+        let Some((proposed, _)) = self.proposed else { return };
         if status.offered.is_none() && status.model != proposed {
             tracing::info!("the proposed model was rejected; the watch is silent until the served one holds again");
             let t = self.now();
@@ -260,10 +259,15 @@ impl Live {
             tracing::info!("from {t:.1} s on the loop serves model {:016x}", record.model);
             self.notes.push(format!("live: from {t:.1} s on the loop served model {:016x}", record.model));
         }
+        let for_it = |change: &Change| self.proposed.is_some_and(|(_, since)| since == change.since);
+        self.change = self.change.map(|change| {
+            // Another change has come since the model was proposed.
+            let before = if change.before != self.serving || for_it(&change) { change.before } else { record.model };
+            Change { before, doubted: None, ..change }
+        });
         self.serving = record.model;
         self.proposed = None;
         self.silent = false;
-        self.change.iter_mut().for_each(|change| change.doubted = None);
         self.watch.iter_mut().for_each(Watch::reset);
     }
 
@@ -271,11 +275,13 @@ impl Live {
     fn evaluate_stretch(&mut self, needed: usize) {
         let first = self.buffer.len() - needed;
         let Some(experiment) = self.prepared(first, self.buffer.len()) else { return };
-        let Some(model) = self.model(self.serving) else { return };
-        let residual = live::residual(model, &experiment);
+        let Some(known) = self.models.iter().find(|known| known.id == self.serving) else { return };
+        let residual = live::residual(&known.model, &experiment);
         let (count, ends) = (residual.nrows(), self.samples(END_MARGIN_S));
         let Some(start) = count.checked_sub(self.samples(STRETCH_S) + ends) else { return };
-        let rms = live::rms(&residual, start..start + self.samples(STRETCH_S));
+        let stretch = start..start + self.samples(STRETCH_S);
+        let rms = live::rms(&residual, stretch.clone());
+        let spread = live::spread(&known.deviations, &experiment, stretch);
         // The preparation removes the same number at both ends.
         let cut = needed.saturating_sub(count) / 2;
         let begin = self.buffer[first].state.time + (cut + start) as f64 * self.period;
@@ -286,9 +292,10 @@ impl Live {
         if self.log.stretches.len() > MAX_LOGGED_STRETCHES {
             self.log.stretches.pop_front();
         }
-        let Some(news) = self.watch.as_mut().and_then(|watch| watch.look(begin, &rms)) else { return };
+        let Some(news) = self.watch.as_mut().and_then(|watch| watch.look_within(begin, &rms, &spread)) else { return };
         match news {
-            News::Lost { since, joint, rms, floor } => {
+            News::Lost { since, joint, floor, .. } => {
+                let rms = rms[joint];
                 let since = self.onset(since).unwrap_or(since);
                 // Another change than the one that was found, if any; or that was found from too few samples.
                 let refined = |change: &Change| change.before != self.serving;
@@ -359,22 +366,34 @@ impl Live {
         }
         let wanted = if change.doubted.is_some() { change.wanted } else { 2.0 * change.wanted };
         self.change = (change.wanted < REFINED_S).then_some(Change { wanted, doubted: None, ..change });
-        let middle = after + live::divide(count);
+        if !self.begin_search(change, after) {
+            self.is_another(change);
+        }
+        self.collect(self.wait_for_search)
+    }
+
+    /// Starts a search among the known effects with the samples from `first` on; false where they are too few.
+    fn begin_search(&mut self, change: Change, first: usize) -> bool {
+        let end = self.buffer.len();
+        let middle = first + live::divide(end - first);
         // Of a model that is doubted the last samples tell most.
-        let (find, judge) = if change.doubted.is_some() { (self.buffer.len(), after) } else { (middle, middle) };
-        let parts = (self.prepared(after, find), self.prepared(judge, self.buffer.len()));
-        let served = self.proposed.filter(|_| self.adopt == Adopt::Ask).unwrap_or(self.serving);
-        let ((Some(find), Some(judge)), Some(lost), Some(served)) =
-            (parts, self.model(change.before).cloned(), self.model(served).cloned())
-        else {
-            return Ok(None);
-        };
-        let threads = threads();
-        let settings = plumbline_diagnose::Settings { threads, ..plumbline_diagnose::Settings::default() };
+        let (find, judge) = if change.doubted.is_some() { (end, first) } else { (middle, middle) };
+        let parts = self.prepared(first, find).zip(self.prepared(judge, end));
+        let served = self.proposed.filter(|_| self.adopt == Adopt::Ask).map_or(self.serving, |(id, _)| id);
+        let models = self.model(change.before).cloned().zip(self.model(served).cloned());
+        let Some(((find, judge), (lost, served))) = parts.zip(models) else { return false };
+        let settings = plumbline_diagnose::Settings { threads: threads(), ..plumbline_diagnose::Settings::default() };
         // The search has its own thread: samples have to be acknowledged meanwhile.
         let found = std::thread::spawn(move || live::search(&lost, &served, &find, &judge, &settings));
         self.searching = Some(Search { t: self.now(), change, model: self.serving, found });
-        self.collect(self.wait_for_search)
+        true
+    }
+
+    /// Where a model is doubted and none with one change since then holds, something else has come.
+    fn is_another(&mut self, change: Change) {
+        if let Some(since) = change.doubted {
+            self.change = Some(Change::new(since, self.serving, self.window));
+        }
     }
 
     /// Proposes an earlier model that predicts the samples from `first` on, the latest first.
@@ -399,25 +418,20 @@ impl Live {
 
     /// Returns the result of an ended search; with `wait`, blocks until its end.
     pub fn collect(&mut self, wait: bool) -> Result<Option<OfferedModel>, Failure> {
-        let Some(Search { t, change: Change { since, before, doubted, .. }, model, found }) =
-            self.searching.take_if(|one| wait || one.found.is_finished())
-        else {
-            return Ok(None);
-        };
+        let done = self.searching.take_if(|one| wait || one.found.is_finished());
+        let Some(Search { t, change, model, found }) = done else { return Ok(None) };
+        let Change { since, before, .. } = change;
         let found = found.join().map_err(|_| Failure::job("the search for a change panicked"))?;
         if model != self.serving {
             return Ok(None);
         }
+        let refines = |found: &Found| matches!(found, Found::Remedy(remedy) if self.refines(change, remedy));
+        if change.doubted.is_some() && !refines(&found) {
+            self.is_another(change);
+            return Ok(None);
+        }
         let offer = match found {
-            Found::Remedy(remedy) if doubted.is_none_or(|doubted| self.refines(since, doubted, &remedy)) => {
-                Some(self.propose(t, since, before, *remedy)?)
-            }
-            // It is another change.
-            _ if doubted.is_some() => {
-                self.change = doubted.map(|since| Change::new(since, self.serving, self.window));
-                None
-            }
-            Found::Remedy(_) => None,
+            Found::Remedy(remedy) => Some(self.propose(t, since, before, *remedy)?),
             // What is served is as good as what more samples tell.
             Found::Nothing { .. } if before != self.serving || self.proposed.is_some() => None,
             Found::Nothing { tried, before: rms } => {
@@ -432,20 +446,17 @@ impl Live {
         Ok(offer)
     }
 
-    /// Whether a model with the same effects as the one that is doubted holds ever since they came, and since it is doubted.
-    fn refines(&self, since: f64, doubted: f64, remedy: &Remedy) -> bool {
-        let first = self.buffer.partition_point(|record| record.state.time < since + CHANGE_MARGIN_S);
-        let known = |change: &reference::Change| self.effects.iter().any(|spec| change.spec.is_same_effect(spec));
-        let last = self.now() - doubted;
+    /// Whether a model that was fitted to all samples since a change holds ever since it came, and since the one that is served is doubted.
+    fn refines(&self, change: Change, remedy: &Remedy) -> bool {
+        let first = self.buffer.partition_point(|record| record.state.time < change.since + CHANGE_MARGIN_S);
+        let last = self.now() - change.doubted.unwrap_or(change.since);
         let holds =
             |(experiment, watch): (Experiment, &Watch)| live::holds(&remedy.model, &experiment, watch.floor(), last);
-        remedy.changes.len() == self.effects.len()
-            && remedy.changes.iter().all(known)
-            && self.prepared(first, self.buffer.len()).zip(self.watch.as_ref()).is_some_and(holds)
+        self.prepared(first, self.buffer.len()).zip(self.watch.as_ref()).is_some_and(holds)
     }
 
     fn propose(&mut self, t: f64, since: f64, lost: u64, remedy: Remedy) -> Result<OfferedModel, Failure> {
-        let Remedy { changes, model, before, after } = remedy;
+        let Remedy { changes, model, before, after, deviations } = remedy;
         let what = changes.iter().map(reference::Change::line).collect::<Vec<_>>().join("; ");
         let source = format!("live, since {since:.1} s: {what}");
         let file = ModelFile {
@@ -459,9 +470,8 @@ impl Live {
         let toml = file.to_toml();
         crate::atomic::write_result(&self.out.join("model-live.toml"), toml.as_bytes())?;
         let effects = self.effects(lost, &changes);
-        self.effects = changes.iter().map(|change| change.spec.clone()).collect();
         let id = model_identity(&toml);
-        self.models.push(Known { id, model: file.model, toml: toml.clone() });
+        self.models.push(Known { id, model: file.model, toml: toml.clone(), deviations });
         self.offer(t, since, id, what, effects, [before, after], toml)
     }
 
@@ -487,7 +497,7 @@ impl Live {
         let (of_worst, left) = (before[worst], after[worst]);
         let model = hex(id);
         self.log.events.push(Event::Proposed { t, since, model, what: what.clone(), effects, before, after });
-        self.proposed = Some(id);
+        self.proposed = Some((id, since));
         let proposal = Proposal { what, since, joint: worst + 1, before: of_worst, after: left };
         Ok(OfferedModel { toml, proposal })
     }

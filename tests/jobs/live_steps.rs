@@ -7,6 +7,8 @@ use plumbline_testkit::job::{Done, Place};
 use serde_json::Value;
 use std::ops::Range;
 
+/// A base tilts about horizontal axes: on a wall some of the tilts that are drawn would change nothing.
+const UPRIGHT: [&str; 2] = ["mounting=upright", "validation.mountings=[\"upright\"]"];
 /// When the first step comes, on the arm's clock: within the first half of the motion that is watched \[s\].
 const TIMES_S: Range<f64> = 90.0..105.0;
 /// Time from one step to the next \[s\].
@@ -129,7 +131,7 @@ fn judge(seed: u64) -> Vec<Judged> {
     let arm = place.path().join("arm.toml");
     std::fs::write(&arm, &text).unwrap();
     let (arm, seeded) = (format!("backend.arm={}", arm.display()), format!("backend.seed={seed}"));
-    Done::of(job(&place, "run", &[&arm, &seeded])).expect_code(0);
+    Done::of(job(&place, "run", &[UPRIGHT[0], UPRIGHT[1], &arm, &seeded])).expect_code(0);
     let log = live(&place);
     let before = 80.0..step.from - 0.5;
     let end = 1e3;

@@ -310,7 +310,7 @@ fn own<'a>(fitted: &'a Fitted, columns: &'a [Column]) -> impl Iterator<Item = (&
 /// A parameter of an effect that is below zero and can't be by its physics: name and value.
 fn negative(fitted: &Fitted, spec: &Spec) -> Option<(String, f64)> {
     let term = spec.build(&fitted.structure.operating_point(&fitted.identification.beta)).ok()?;
-    if term.expects() == Expected::Any {
+    if !matches!(term.expects(), Expected::NotNegative | Expected::FirstSetting) {
         return None;
     }
     let columns = term.columns();

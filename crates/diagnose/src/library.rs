@@ -16,11 +16,11 @@ pub struct Candidate {
     pub span: Span,
     /// Its columns on the evidence.
     pub rows: Rows,
-    /// Range of its only parameter.
+    /// Range of its parameters.
     expected: Expected,
 }
 
-/// Largest ratio of a parameter to the setting that its column was evaluated at, or its inverse.
+/// Largest ratio of a parameter to the setting that its column was evaluated at, or its inverse; or to the largest expected.
 const MAX_PARAMETER_RATIO: f64 = 2.0;
 
 impl Candidate {
@@ -46,12 +46,16 @@ impl Candidate {
         (!rows.is_empty()).then(|| Candidate { rows, span, ..self.clone() })
     }
 
-    /// Plausibility of the parameter, 0 to 1: 0 for a negative gap, less than 1 for a gap that differs from the setting that its column was evaluated
-    /// at.
+    /// Plausibility of the parameters, 0 to 1: 0 for a negative gap, less than 1 for a gap that differs from the setting that its column was evaluated
+    /// at, and for an encoder that is off by more than its column is good for.
     pub fn plausibility(&self, parameters: &[f64]) -> f64 {
         match (self.expected, parameters, self.spec.settings.first()) {
             (Expected::NotNegative, &[parameter], _) if parameter < 0.0 => 0.0,
             (Expected::FirstSetting, &[parameter], Some(value)) => (parameter / value).min(value / parameter).max(0.0),
+            (Expected::AtMost(most), _, _) => {
+                let largest = parameters.iter().fold(0.0, |largest: f64, parameter| largest.max(parameter.abs()));
+                (most / largest).min(1.0)
+            }
             _ => 1.0,
         }
     }
@@ -181,6 +185,9 @@ mod tests {
         let swinging = of(Expected::FirstSetting);
         assert!(swinging.allows(&[0.6e-3]) && swinging.allows(&[1.9e-3]));
         assert!([0.4e-3, 2.1e-3, -1e-3, 0.0].iter().all(|gap| !swinging.allows(&[*gap])));
+        let encoder = of(Expected::AtMost(0.05));
+        assert!(encoder.allows(&[-0.09]) && encoder.allows(&[0.0, 0.0]) && !encoder.allows(&[0.01, -0.11]));
+        assert!(encoder.plausibility(&[0.04]) == 1.0 && encoder.plausibility(&[-0.1]) == 0.5);
         assert!((swinging.plausibility(&[0.5e-3]) - 0.5).abs() < 1e-12 && swinging.plausibility(&[1e-3]) == 1.0);
     }
 }

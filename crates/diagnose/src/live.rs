@@ -16,8 +16,9 @@ use super::evidence::Trial;
 use super::input::Settings;
 use super::reference::{self, Change, Changes};
 use nalgebra::DMatrix;
+use plumbline_core::symmetric_eigen;
 use plumbline_identify::Experiment;
-use plumbline_model::TorqueModel;
+use plumbline_model::{ModelError, TorqueModel};
 use std::ops::Range;
 
 /// Length of a stretch \[s\].
@@ -144,6 +145,13 @@ impl Watch {
         &self.floor
     }
 
+    /// [`Watch::look`] under a model of which something is known to these standard deviations only \[Nm\].
+    pub fn look_within(&mut self, start: f64, rms: &[f64], spread: &[f64]) -> Option<News> {
+        let share = |joint: usize| self.floor.usual[joint] / self.floor.usual[joint].hypot(spread[joint]);
+        let rms: Vec<f64> = (0..rms.len()).map(|joint| rms[joint] * share(joint)).collect();
+        self.look(start, &rms)
+    }
+
     /// Takes a stretch that begins at `start` \[s\] with its RMS per joint in the band \[Nm\]; returns a change of state.
     pub fn look(&mut self, start: f64, rms: &[f64]) -> Option<News> {
         let sign = if self.lost.is_some() { -1.0 } else { 1.0 };
@@ -229,6 +237,9 @@ pub struct Remedy {
     pub before: Vec<f64>,
     /// The same of the model with the changes \[Nm\].
     pub after: Vec<f64>,
+    /// How well the changes are known: one model for each independent direction of their parameters, with one standard deviation of them and nothing else.
+    /// The squares of these models' torques add up to the variance of the torque.
+    pub deviations: Vec<TorqueModel>,
 }
 
 /// What a search ended with.
@@ -266,7 +277,37 @@ pub fn search(
     if effects.is_empty() || worst(&after) > enough {
         return nothing(effects.len());
     }
-    Found::Remedy(Box::new(Remedy { changes: effects, model: extended, before, after }))
+    let deviations = deviations(lost, &effects, &extended).unwrap_or_default();
+    Found::Remedy(Box::new(Remedy { changes: effects, model: extended, before, after, deviations }))
+}
+
+/// [`Remedy::deviations`] of a model that `lost` is extended to.
+fn deviations(lost: &TorqueModel, changes: &[Change], extended: &TorqueModel) -> Result<Vec<TorqueModel>, ModelError> {
+    let mut found = Vec::new();
+    for (which, change) in changes.iter().enumerate() {
+        let Some(eigen) = symmetric_eigen(change.covariance.clone()) else { continue };
+        for (variance, direction) in eigen.eigenvalues.iter().zip(eigen.eigenvectors.column_iter()) {
+            let mut moved = changes.to_vec();
+            let parameters = moved[which].parameters.iter_mut().zip(direction.iter());
+            parameters.for_each(|(own, share)| own.value += variance.max(0.0).sqrt() * share);
+            let moved = reference::extended(lost, &moved)?.beta();
+            let values: Vec<(f64, Option<f64>)> =
+                moved.iter().zip(extended.beta()).map(|(moved, own)| (moved - own, None)).collect();
+            let (structure, mountings) = (extended.structure().clone(), extended.mountings().to_vec());
+            found.push(TorqueModel::new(extended.robot(), structure, mountings, &values)?);
+        }
+    }
+    Ok(found)
+}
+
+/// Standard deviation of a model's torque in the band over some of a motion's samples, per joint \[Nm\]: [`Remedy::deviations`].
+pub fn spread(deviations: &[TorqueModel], experiment: &Experiment, samples: Range<usize>) -> Vec<f64> {
+    let mut squares = vec![0.0; experiment.motion.joints()];
+    for model in deviations {
+        let torque = in_band(experiment, &model.predict(&experiment.motion));
+        squares.iter_mut().zip(rms(&torque, samples.clone())).for_each(|(sum, rms)| *sum += rms * rms);
+    }
+    squares.into_iter().map(f64::sqrt).collect()
 }
 
 /// Whether a model predicts a motion with the usual errors: a watch over it would not be alarmed, and errors of the last `seconds` are nearer to the usual
@@ -289,9 +330,12 @@ pub fn divide(samples: usize) -> usize {
 
 /// Measured minus modelled torque in the band, N x n \[Nm\].
 pub fn residual(model: &TorqueModel, experiment: &Experiment) -> DMatrix<f64> {
-    let rest = &experiment.tau - model.predict(&experiment.motion);
-    let stacked = DMatrix::from_column_slice(rest.len(), 1, rest.as_slice());
-    DMatrix::from_column_slice(rest.nrows(), rest.ncols(), experiment.filter(&stacked).as_slice())
+    in_band(experiment, &(&experiment.tau - model.predict(&experiment.motion)))
+}
+
+fn in_band(experiment: &Experiment, torque: &DMatrix<f64>) -> DMatrix<f64> {
+    let stacked = DMatrix::from_column_slice(torque.len(), 1, torque.as_slice());
+    DMatrix::from_column_slice(torque.nrows(), torque.ncols(), experiment.filter(&stacked).as_slice())
 }
 
 /// Samples without the ends.

@@ -32,7 +32,7 @@ pub(super) trait Law: Send + 'static {
     /// Whether it integrates between two samples and has means.
     const INTEGRATES: bool = false;
 
-    /// Possible values of its only parameter.
+    /// Possible values of its parameters.
     const EXPECTS: Expected = Expected::Any;
 
     /// Number of earlier samples that affect it, at the sample period `dt` \[s\].

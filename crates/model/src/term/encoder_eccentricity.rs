@@ -1,10 +1,10 @@
 //! Eccentricity of an encoder.
 
-use super::Sample;
 use super::all_rows::*;
 use super::family::*;
 use super::one_row::{column, unit};
-use super::position_error::PositionError;
+use super::position_error::{MAX_POSITION_ERROR, PositionError};
+use super::{Expected, Sample};
 use plumbline_core::JointVec;
 
 /// An error of one joint's position, true minus measured, with the period of a turn.
@@ -43,6 +43,8 @@ fn build(operating_point: &OperatingPoint, site: Site, settings: &[f64]) -> Arc<
 struct Eccentricity(PositionError);
 
 impl Law for Eccentricity {
+    const EXPECTS: Expected = Expected::AtMost(MAX_POSITION_ERROR);
+
     fn at(&mut self, sample: &Sample, _clock: &Clock, columns: &mut [JointVec]) {
         let joint = self.0.joint;
         let (Some(&q), Some(&dq), Some(&ddq)) = (sample.q.get(joint), sample.dq.get(joint), sample.ddq.get(joint))

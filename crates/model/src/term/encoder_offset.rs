@@ -1,10 +1,10 @@
 //! Offset of an encoder's zero.
 
-use super::Sample;
 use super::all_rows::*;
 use super::family::*;
 use super::one_row::{column, unit};
-use super::position_error::PositionError;
+use super::position_error::{MAX_POSITION_ERROR, PositionError};
+use super::{Expected, Sample};
 use plumbline_core::JointVec;
 
 /// A constant error of one joint's position: its true position minus the measured one.
@@ -45,6 +45,8 @@ fn build(operating_point: &OperatingPoint, site: Site, settings: &[f64]) -> Arc<
 struct Zero(PositionError);
 
 impl Law for Zero {
+    const EXPECTS: Expected = Expected::AtMost(MAX_POSITION_ERROR);
+
     fn at(&mut self, sample: &Sample, _clock: &Clock, columns: &mut [JointVec]) {
         if let Some(column) = columns.first_mut() {
             *column = self.0.signature(sample, [1.0, 0.0, 0.0]);

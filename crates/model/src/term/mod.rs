@@ -90,7 +90,7 @@ pub trait Term: Send + Sync {
         self.fill(chain, motion, y, first);
     }
 
-    /// Values that physics allows its parameters. A term of which less is allowed than [`Expected::Any`] has one parameter, or one per joint.
+    /// Values that physics allows its parameters. A term that expects a sign or a setting has one parameter, or one per joint.
     fn expects(&self) -> Expected {
         Expected::Any
     }
@@ -115,7 +115,7 @@ pub trait Term: Send + Sync {
 }
 
 /// Possible values of a parameter.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Expected {
     /// Any number.
     Any,
@@ -123,6 +123,8 @@ pub enum Expected {
     NotNegative,
     /// Near the first setting, at which the column was computed.
     FirstSetting,
+    /// At most this, without its sign: the column is the derivative at 0.
+    AtMost(f64),
 }
 
 /// A column that depends on one sample. Joints are counted from 0. Every column but a link's is nonzero in its joint's row only.

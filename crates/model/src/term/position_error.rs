@@ -8,6 +8,10 @@ use plumbline_core::JointVec;
 /// torque over the angle, its rounding 2e-12.
 const STEP_RAD: f64 = 1e-4;
 
+/// Largest position error that an encoder's columns are meant for \[rad, or m\]: at twice as much, the second order is a twentieth of the first. Joints that are
+/// off by degrees are seen with the eye, and noise along such a column is no encoder.
+pub(super) const MAX_POSITION_ERROR: f64 = 0.05;
+
 /// Rigid bodies with one joint whose true position differs from the measured one.
 pub(super) struct PositionError {
     /// The joint.
