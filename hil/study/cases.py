@@ -40,6 +40,8 @@ KINDS = {
 FAULTS = {"spikes", "zeros"}  # to be masked, not named
 WHOLE_ARM = {"mounting", "payload", "base-motion", "delay"}
 SESSIONS = {"friction-session", "payload-session"}
+STEPS = ["payload-step", "tilt-run", "offset-step", "friction-step"]  # while a model is served
+SERVED = 96.0  # s
 PARTS = {"offset-run", "offset-step", "friction-step", "payload-step", "tilt-run", "contact"}
 SENSOR_SIDE = {"offset", "offset-run", "offset-step", "gain", "zero", "eccentric", "delay", "crosstalk", "spikes", "zeros"}
 
@@ -151,6 +153,28 @@ def draw(seed, clean, kinds=None, quick=False, settled=False):
     if clean and rng.random() < 0.15:
         case.effects = [effect(rng, case, str(rng.choice(sorted(FAULTS))))]
     return case
+
+
+def serve(case):
+    """Lets a live watch see an unseen motion, with a step in it, and then its end, another step on top, or nothing."""
+    rng = np.random.default_rng([case.seed, 78])
+    period = float(rng.choice([5.0, 6.0, 8.0, 10.0]))
+    one = motions.periodic(rng, case.arm, period, STEP, str(rng.choice(["fourier", "points", "taught"])))
+    q = motions.start(rng, np.tile(one, (int(SERVED // period) + 1, 1)), STEP, "drawn-in")
+    case.runs.append(Run("live.csv", "live", q, len(q) * STEP, period, lead=period))
+    case.with_speeds = True  # a controller has them
+    case.effects = []
+    if case.clean:
+        return
+    first, then = rng.choice(STEPS, 2, replace=False)
+    at = float(rng.uniform(25.0, 35.0))
+    later = at + float(rng.uniform(28.0, 32.0))
+    what = str(rng.choice(["gone", "second", "nothing"]))
+    for kind, begin, end in [(first, at, later if what == "gone" else 1e9)] + [(then, later, 1e9)] * (what == "second"):
+        e = effect(rng, case, str(kind))
+        e["target"] = float(np.exp(rng.uniform(np.log(4.0), np.log(40.0))))
+        e["when"] = [[len(case.runs) - 1, begin, end]]
+        case.effects.append(e)
 
 
 def shape(rng, table, form, strength=1.0):
@@ -335,11 +359,10 @@ def simulate(case, effects):
             for name in ("fc", "fv"):
                 arm.table[steps[0]["joint"], COLUMN[name]] *= 1 + steps[0]["size"]
         elif steps:
-            begin = active(steps[0], k)[0]
             changed = arm.table.copy()
             for name in ("fc", "fv"):
                 changed[steps[0]["joint"], COLUMN[name]] *= 1 + steps[0]["size"]
-            arm.change = (begin, changed)
+            arm.change = (active(steps[0], k), changed)
         out = arm.run(run.reference, every, c)
         arm.change = None
         arm.heat *= 0.9  # a pause between the runs
@@ -587,9 +610,13 @@ def write_csv(path, t, q, speeds, tau):
         file.write(text_of(np.ascontiguousarray(np.hstack(parts)), digits).tobytes())
 
 
-def make(seed, clean, folder, kinds=None, quick=False, settled=False):
-    """Writes one case: a dataset folder with truth.json. Without the first period of repeating runs where `settled`."""
-    case = draw(seed, clean, kinds, quick, settled)
+def make(seed, clean, folder, kinds=None, quick=False, settled=False, served=False):
+    """Writes one case: a dataset folder with truth.json. Without the first period of repeating runs where `settled`. Where `served`, steps come
+    after the identification only, in the run of a dataset of its own, `live`."""
+    case = draw(seed, clean or served, kinds, quick, settled or served)
+    if served:
+        case.clean = clean
+        serve(case)
     plain = calibrate(case)
     folder.mkdir(parents=True, exist_ok=True)
     seen = simulate(case, case.effects)
@@ -600,6 +627,11 @@ def make(seed, clean, folder, kinds=None, quick=False, settled=False):
         robot = "robot.toml"
     lines = [f'name = "study-{seed}"', f'robot = "{robot}"', "", "[mounting]", f"rho = {case.mounting[0]!r}", f"phi = {case.mounting[1]!r}"]
     for run, t, q, speeds, tau in measure(case, case.rng, seen):
+        if run.role == "live":
+            (folder / "live").mkdir(exist_ok=True)
+            write_csv(folder / "live" / run.file, t, q, speeds, tau)
+            (folder / "live" / "dataset.toml").write_text("\n".join(lines[:6] + ["", "[[run]]", f'file = "{run.file}"', 'role = "identify"']) + "\n")
+            continue
         write_csv(folder / run.file, t, q, speeds, tau)
         lines += ["", "[[run]]", f'file = "{run.file}"', f'role = "{run.role}"', f"session = {run.session}"]
         if run.period:

@@ -143,7 +143,7 @@ def drive(step, model, data, h, every, q, v, applied, bias, damping, gravity, ma
                 rub[i] += x
                 rub[j] -= 0.7 * x
         for i in range(n):
-            p = table[i] if now < change else later[i]
+            p = later[i] if now >= change[0] and now < change[1] else table[i]
             a = motor[i]
             angle, speed = q[a], v[a]
             soft = twist[i]
@@ -228,7 +228,7 @@ class Plant:
         self.coupling = np.zeros((arm.n, arm.n)) if coupling is None else coupling
         self.ratio = np.zeros((arm.n, arm.n)) if ratio is None else ratio
         self.heat = np.zeros(arm.n)
-        self.change = None  # time in s, and the joints' properties from then on
+        self.change = None  # two times in s, and the joints' properties between them
         self.step = step_address()
 
     def run(self, reference, every, conditions):
@@ -249,10 +249,10 @@ class Plant:
         speed = np.gradient(reference, STEP, axis=0)
         out = np.zeros((5, len(reference) // every, n))
         kp, kd, balance, quantum = self.controller
-        change, later = self.change or (1e9, self.table)
+        change, later = self.change or ((1e9, 1e9), self.table)
         drive(self.step, model._address, data._address, STEP, every, data.qpos, data.qvel, data.qfrc_applied, data.qfrc_bias,
               model.dof_damping, model.opt.gravity, model.body_mass, model.body_inertia, data.xfrc_applied, data.xpos, data.xmat, data.xipos,
-              self.motor, self.twist, self.table, later, change, self.coupling, self.ratio, np.zeros((n, 4)), self.heat, reference[: out.shape[1] * every],
+              self.motor, self.twist, self.table, later, np.array(change, float), self.coupling, self.ratio, np.zeros((n, 4)), self.heat, reference[: out.shape[1] * every],
               speed, kp, kd, balance, self.arm.tau_max * 1.5, quantum, int(HOLD / STEP), tool, c.tool, np.array(c.tool_times, float),
               self.gravity.copy(), tilt, np.array(c.tilt_times, float), c.shake, c.shake_f, model.body(f"link{c.touch_link + 1}").id, c.touch,
               np.array(c.touch_times, float), model.dof_armature, out)

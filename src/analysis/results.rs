@@ -28,9 +28,6 @@ use plumbline_ipc::{Status, StreamCounters};
 use plumbline_model::{Mounting, Robot};
 use std::path::{Path, PathBuf};
 
-/// Terms of the paper's model, besides the rigid body.
-const TERMS: [&str; 1] = ["friction"];
-
 /// Recorded motions of a job, and the identified model.
 pub struct Results {
     job: Job,
@@ -138,7 +135,13 @@ impl Results {
     /// The motion of an arm that plumbline does not drive cannot be had again: where it does not identify a model, its dataset is kept.
     pub fn identify(&mut self) -> Result<String, Failure> {
         let runs = self.runs(Role::Identify);
-        let identified = pipeline::identify(&self.robot, &runs, &TERMS, &self.settings, &self.job.solver());
+        let identified = pipeline::identify(
+            &self.robot,
+            &runs,
+            &pipeline::plain_terms(&self.robot),
+            &self.settings,
+            &self.job.solver(),
+        );
         let identified = match identified {
             Err(failure) if self.last_unplanned.is_some() => {
                 let dir = self.out.join("dataset");
@@ -332,7 +335,13 @@ impl Results {
     fn counter_experiment(&self, judged: &[(&Run, Judged)]) -> Result<Option<(CounterExperiment, ModelFile)>, Failure> {
         let runs = self.runs(Role::Counter);
         let Some(first) = runs.first() else { return Ok(None) };
-        let vertical = pipeline::identify(&self.robot, &runs, &TERMS, &self.settings, &self.job.solver())?;
+        let vertical = pipeline::identify(
+            &self.robot,
+            &runs,
+            &pipeline::plain_terms(&self.robot),
+            &self.settings,
+            &self.job.solver(),
+        )?;
         let Err(refused) = vertical.model.valid_in(&self.job.mounting) else { return Ok(None) };
         let here: Vec<&(&Run, Judged)> =
             judged.iter().filter(|(run, _)| run.data.mounting == self.job.mounting).collect();

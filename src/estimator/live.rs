@@ -1,6 +1,8 @@
 //! Live watch of the estimator: monitors the residual of the served model, detects changes and proposes a new model.
 
 mod log;
+#[cfg(test)]
+mod replay;
 
 use self::log::{Event, Log, Stretch};
 use crate::analysis::collector::{MAX_GAP_S, states};
@@ -30,10 +32,14 @@ const CHANGE_MARGIN_S: f64 = 0.3;
 const ONSET_WINDOW_S: f64 = 2.0;
 /// Time after a change after which an earlier model is tried again \[s\].
 const RETURN_S: f64 = 2.0;
+/// Time of a motion on which an earlier model holds again, where nothing explains what came \[s\].
+const HELD_S: f64 = 4.0;
 /// Samples since a change are used up to this time \[s\].
 const REFINED_S: f64 = 60.0;
 /// Largest speed of a joint at rest \[rad/s\].
 const REST_SPEED: f64 = 0.01;
+/// Models that an arm may come back to.
+const MAX_MODELS: usize = 32;
 const MAX_LOGGED_STRETCHES: usize = 10_000;
 
 /// A model for the daemon, with the reason.
@@ -109,6 +115,8 @@ pub struct Live {
     samples_since_stretch: usize,
     /// The change that is looked for, and refined once it was found.
     change: Option<Change>,
+    /// When what nothing explains came \[s\].
+    unexplained: Option<f64>,
     /// Whether a proposal was rejected since the model was lost.
     silent: bool,
     /// Whether searches block, as in simulated time, which would otherwise run ahead.
@@ -143,6 +151,7 @@ impl Live {
             buffer: VecDeque::new(),
             samples_since_stretch: 0,
             change: None,
+            unexplained: None,
             silent: false,
             wait_for_search: job.backend.is_fast(),
             searching: None,
@@ -266,9 +275,12 @@ impl Live {
             Change { before, doubted: None, ..change }
         });
         self.serving = record.model;
+        // What came on top of an unexplained error leaves that.
+        let beside = self.proposed.zip(self.unexplained).is_some_and(|((_, since), before)| since > before);
+        self.unexplained = self.unexplained.filter(|_| beside);
         self.proposed = None;
         self.silent = false;
-        self.watch.iter_mut().for_each(Watch::reset);
+        self.watch.iter_mut().for_each(if beside { Watch::go_on } else { Watch::reset });
     }
 
     /// Evaluates the last stretch without filter transients.
@@ -319,7 +331,7 @@ impl Live {
             News::Holds { since } => {
                 tracing::info!("since {since:.1} s the served model holds again");
                 self.log.events.push(Event::Holds { t: self.now(), since });
-                (self.change, self.proposed, self.silent) = (None, None, false);
+                (self.change, self.proposed, self.silent, self.unexplained) = (None, None, false, None);
                 self.verdict = Some(Verdict { model: self.serving, doubt: None });
             }
         }
@@ -341,6 +353,9 @@ impl Live {
     /// Looks for the change: first whether an earlier model holds again, then among the known effects, again whenever there are twice as many samples
     /// since it came. What was found is refined like that.
     fn search(&mut self) -> Result<Option<OfferedModel>, Failure> {
+        if let Some(offer) = self.came_back()? {
+            return Ok(Some(offer));
+        }
         let Some(mut change) = self.change.filter(|_| self.searching.is_none() && !self.silent) else {
             return Ok(None);
         };
@@ -348,10 +363,13 @@ impl Live {
         let found = self.serving != change.before || self.proposed.is_some_and(|_| self.adopt == Adopt::Ask);
         if !change.returned && !found && self.buffer.len() - after(change.since) >= self.samples(RETURN_S) {
             // There is more to see of the change now than at the alarm.
-            change = Change { since: self.onset(change.since).unwrap_or(change.since), returned: true, ..change };
+            // It may pass through zero, and grow again.
+            let near = |since: &f64| *since < change.since + CHANGE_MARGIN_S;
+            let since = self.onset(change.since).filter(near).unwrap_or(change.since);
+            change = Change { since, returned: true, ..change };
             let first = after(change.since);
             self.change = Some(change);
-            if let Some(offer) = self.earlier(change.since, first)? {
+            if let Some(offer) = self.earlier(change.since, first, Watch::floor)? {
                 return Ok(Some(offer));
             }
         }
@@ -361,7 +379,7 @@ impl Live {
             return Ok(None);
         }
         // Once more, with more samples.
-        if let Some(offer) = if found { None } else { self.earlier(change.since, after)? } {
+        if let Some(offer) = if found { None } else { self.earlier(change.since, after, Watch::floor)? } {
             return Ok(Some(offer));
         }
         let wanted = if change.doubted.is_some() { change.wanted } else { 2.0 * change.wanted };
@@ -370,6 +388,24 @@ impl Live {
             self.is_another(change);
         }
         self.collect(self.wait_for_search)
+    }
+
+    /// Proposes an earlier model where what came has not been explained, and is gone.
+    fn came_back(&mut self) -> Result<Option<OfferedModel>, Failure> {
+        let named = self.change.is_some_and(|change| change.before != self.serving);
+        let first = self.buffer.len().saturating_sub(self.samples(HELD_S) + 2 * self.edge());
+        if self.unexplained.is_none()
+            || named
+            || first == 0
+            || self.searching.is_some()
+            || self.silent
+            || self.proposed.is_some()
+        {
+            return Ok(None);
+        }
+        let offer = self.earlier(self.buffer[first].state.time, first, Watch::usual)?;
+        self.unexplained = self.unexplained.filter(|_| offer.is_none());
+        Ok(offer)
     }
 
     /// Starts a search among the known effects with the samples from `first` on; false where they are too few.
@@ -381,10 +417,11 @@ impl Live {
         let parts = self.prepared(first, find).zip(self.prepared(judge, end));
         let served = self.proposed.filter(|_| self.adopt == Adopt::Ask).map_or(self.serving, |(id, _)| id);
         let models = self.model(change.before).cloned().zip(self.model(served).cloned());
-        let Some(((find, judge), (lost, served))) = parts.zip(models) else { return false };
+        let floor = self.watch.as_ref().map(|watch| watch.floor().clone());
+        let Some((((find, judge), (lost, served)), floor)) = parts.zip(models).zip(floor) else { return false };
         let settings = plumbline_diagnose::Settings { threads: threads(), ..plumbline_diagnose::Settings::default() };
         // The search has its own thread: samples have to be acknowledged meanwhile.
-        let found = std::thread::spawn(move || live::search(&lost, &served, &find, &judge, &settings));
+        let found = std::thread::spawn(move || live::search(&lost, &served, &find, &judge, &floor, &settings));
         self.searching = Some(Search { t: self.now(), change, model: self.serving, found });
         true
     }
@@ -397,12 +434,17 @@ impl Live {
     }
 
     /// Proposes an earlier model that predicts the samples from `first` on, the latest first.
-    fn earlier(&mut self, since: f64, first: usize) -> Result<Option<OfferedModel>, Failure> {
+    fn earlier(
+        &mut self,
+        since: f64,
+        first: usize,
+        floor: impl Fn(&Watch) -> &Floor,
+    ) -> Result<Option<OfferedModel>, Failure> {
         let (Some(experiment), Some(watch)) = (self.prepared(first, self.buffer.len()), &self.watch) else {
             return Ok(None);
         };
         let holds =
-            |known: &&Known| known.id != self.serving && live::holds(&known.model, &experiment, watch.floor(), 0.0);
+            |known: &&Known| known.id != self.serving && live::holds(&known.model, &experiment, floor(watch), 0.0);
         let Some(known) = self.models.iter().rev().find(holds) else { return Ok(None) };
         let errors = |model: &TorqueModel| {
             let residual = live::residual(model, &experiment);
@@ -439,11 +481,23 @@ impl Live {
                 let doubt = Some(format!("since {since:.1} s no known change explains the error of {} Nm", list(&rms)));
                 self.verdict = Some(Verdict { model, doubt });
                 self.log.events.push(Event::Unexplained { t, tried, rms });
+                self.watch_beside(since);
                 None
             }
         };
         self.write()?;
         Ok(offer)
+    }
+
+    /// Lets the watch look for another change beside the one that nothing explains.
+    fn watch_beside(&mut self, since: f64) {
+        self.unexplained = Some(since);
+        let model = hex(self.serving);
+        let of_it = |stretch: &&Stretch| stretch.start >= since && stretch.model == model;
+        let stretches: Vec<Vec<f64>> =
+            self.log.stretches.iter().filter(of_it).map(|stretch| stretch.rms.clone()).collect();
+        let rms = Floor::from_stretches(&stretches).usual;
+        self.watch.iter_mut().for_each(|watch| watch.accept(&rms));
     }
 
     /// Whether a model that was fitted to all samples since a change holds ever since it came, and since the one that is served is doubted.
@@ -472,6 +526,11 @@ impl Live {
         let effects = self.effects(lost, &changes);
         let id = model_identity(&toml);
         self.models.push(Known { id, model: file.model, toml: toml.clone(), deviations });
+        // The identified model, the one that is served and the one before the change stay.
+        let old = |known: &Known| known.id != self.serving && known.id != lost;
+        if let Some(oldest) = self.models[1..].iter().position(old).filter(|_| self.models.len() > MAX_MODELS) {
+            self.models.remove(1 + oldest);
+        }
         self.offer(t, since, id, what, effects, [before, after], toml)
     }
 

@@ -156,3 +156,26 @@ fn the_daemon_takes_its_model() {
         done.output()
     );
 }
+
+#[test]
+fn a_job_identifies_rotor_inertias_where_torques_are_those_of_the_motors() {
+    let place = Place::new("own-robot-motor");
+    let text = description("motor-arm", "0.316").replace("torque-sensing = \"link\"", "torque-sensing = \"motor\"");
+    let own = place.path().join("own.toml");
+    std::fs::write(&own, text).unwrap();
+    let arm = plumbline_testkit::path("config/arms/sim-panda.toml");
+    let [robot, arm] = [format!("robot={}", own.display()), format!("backend.arm={}", arm.display())];
+    let sets = short(&[&robot, &arm, "excitation.trajectories=1"]);
+    let mut command = plumbline();
+    command.arg("run").arg(WALL).arg("--out").arg(place.out());
+    command.arg("--set").arg(format!("serve.id={}", place.id));
+    sets.iter().for_each(|set| {
+        command.arg("--set").arg(set);
+    });
+    Done::of(command).expect_code(0);
+    let model = std::fs::read_to_string(place.out().join("model.toml")).unwrap();
+    // The inertias of the first links contain those of their rotors.
+    for parameter in ["fc1", "ia3", "ia7"] {
+        assert!(model.contains(&format!("name = \"{parameter}\"")), "no {parameter} in {model}");
+    }
+}

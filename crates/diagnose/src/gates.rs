@@ -295,8 +295,9 @@ pub fn relevance(evidence: &Evidence, state: &State, tried: &Tried, item: &Candi
 pub fn matters(evidence: &Evidence, found: &Relevance, settings: &super::Settings) -> bool {
     let share = if evidence.repeats() { settings.least_share } else { settings.least_share_of_all };
     // Size in units of what is enough.
-    let size = |floor: Option<f64>, (rms, explained): (f64, f64)| {
+    let size = |joint: usize, floor: Option<f64>, (rms, explained): (f64, f64)| {
         let least = settings.threshold.or(floor.map(|floor| settings.least_floor * floor)).unwrap_or(0.0);
+        let least = settings.usual.get(joint).map_or(least, |usual| usual.max(least));
         if explained < share {
             0.0
         } else if least > 0.0 {
@@ -307,8 +308,8 @@ pub fn matters(evidence: &Evidence, found: &Relevance, settings: &super::Setting
     };
     // Also a joint that it does not act in: the base parameters may have taken it over, and spoil the torque there.
     let joints = 0..evidence.joints();
-    let all = joints.clone().map(|joint| size(evidence.floor(joint), (found.rms[joint], found.share[joint])));
-    let low = joints.map(|joint| size(evidence.floor_of_periods_below(joint, LOW_BANDS, 1.0), found.low[joint]));
+    let all = joints.clone().map(|joint| size(joint, evidence.floor(joint), (found.rms[joint], found.share[joint])));
+    let low = joints.map(|joint| size(joint, evidence.floor_of_periods_below(joint, LOW_BANDS, 1.0), found.low[joint]));
     let together = settings.threshold.is_none() && found.of_arm;
     let enough = |sizes: Vec<f64>| match together {
         true => sizes.iter().map(|size| size * size).sum::<f64>() >= 1.0,

@@ -45,6 +45,8 @@ pub struct Settings {
     pub band: f64,
     /// Least RMS of an effect that matters \[Nm\]; by default a share of the noise floor.
     pub threshold: Option<f64>,
+    /// Errors that a stored model has by itself, n \[Nm\]: the torque of a change is larger in one joint. Empty where they are not known.
+    pub usual: Vec<f64>,
     /// That share: of the noise of the mean period.
     pub least_floor: f64,
     /// Share of the unmodelled mean square that an effect has to explain in one joint.
@@ -70,6 +72,7 @@ impl Default for Settings {
         Settings {
             band: 16.0,
             threshold: None,
+            usual: Vec::new(),
             least_floor: 0.7,
             least_share: 0.15,
             least_share_of_all: 0.03,

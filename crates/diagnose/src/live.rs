@@ -14,7 +14,7 @@
 
 use super::evidence::Trial;
 use super::input::Settings;
-use super::reference::{self, Change, Changes};
+use super::reference::{self, Change};
 use nalgebra::DMatrix;
 use plumbline_core::symmetric_eigen;
 use plumbline_identify::Experiment;
@@ -31,6 +31,10 @@ const FALSE_ALARM_S: f64 = 10.0 * 3600.0;
 const LOST_RATIO: f64 = 2.0;
 /// Mean square on a motion that was not identified from, as a ratio to that of the identification: errors of the parameters show there.
 const UNSEEN_RATIO: f64 = 1.3;
+/// Mean square that becomes usual on the motions that are watched, at most, as a ratio to that of the identification.
+const MAX_USUAL_RATIO: f64 = 4.0;
+/// Stretches that the identification counts for beside those that are watched.
+const IDENTIFIED_STRETCHES: f64 = 10.0;
 /// Degrees of freedom of a stretch: at least, and at most 2 B T of a band of 5 Hz.
 const FREEDOM: (f64, f64) = (1.0, 10.0 * STRETCH_S);
 /// Share of the estimated degrees of freedom that is relied on: some tens of stretches tell them to a fifth.
@@ -39,6 +43,8 @@ const RELIED_ON: f64 = 0.75;
 const JUDGED_RATIO: f64 = 0.25;
 /// Largest error of the worst joint with the changes, as a share of the error without them, for a proposal.
 const MAX_REMAINING_RATIO: f64 = 0.8;
+/// Joints whose error is above this share of the worst joint's, both as ratios to the usual, tell when a change came.
+const CONCERNED_RATIO: f64 = 0.5;
 /// A change that grows is followed back to its begin in at most so many steps.
 const MAX_ONSET_STEPS: usize = 10;
 /// Largest error of a refined model on the held-out samples, as a ratio to that of the served one.
@@ -80,11 +86,20 @@ pub enum News {
 #[derive(Clone, Debug)]
 pub struct Watch {
     floor: Floor,
-    /// Sum of each joint for the other state than the present one, and the start of the first stretch that it has summed \[s\].
-    sums: Vec<(f64, f64)>,
+    /// RMS on the motion that the model was identified from, per joint \[Nm\].
+    identified: Vec<f64>,
+    /// Stretches that a model held on, and their sums of squares per joint \[Nm2\].
+    held: (f64, Vec<f64>),
+    /// For the other state than the present one.
+    sums: Sums,
     /// Since when the model does not hold \[s\].
     lost: Option<f64>,
+    /// What is usual while nothing explains that, and its sums until another change shows above it.
+    beside: Option<(Floor, Option<Sums>)>,
 }
+
+/// Sum of each joint, and the start of the first stretch that it has summed \[s\].
+type Sums = Vec<(f64, f64)>;
 
 impl Floor {
     /// Of the motion that the model was identified from, prepared like those that will be watched.
@@ -136,13 +151,26 @@ fn threshold(joints: usize) -> f64 {
 impl Watch {
     /// Before the first stretch.
     pub fn new(floor: Floor) -> Watch {
-        let sums = vec![(0.0, 0.0); floor.usual.len()];
-        Watch { floor, sums, lost: None }
+        let joints = floor.usual.len();
+        let identified = floor.usual.clone();
+        Watch {
+            floor,
+            identified,
+            held: (0.0, vec![0.0; joints]),
+            sums: vec![(0.0, 0.0); joints],
+            lost: None,
+            beside: None,
+        }
     }
 
-    /// What is usual.
-    pub fn floor(&self) -> &Floor {
+    /// What is usual: on the motions that are watched it may be more than on the one that the model was identified from.
+    pub fn usual(&self) -> &Floor {
         &self.floor
+    }
+
+    /// The same, and more while nothing explains an error.
+    pub fn floor(&self) -> &Floor {
+        self.beside.as_ref().map_or(&self.floor, |(floor, _)| floor)
     }
 
     /// [`Watch::look`] under a model of which something is known to these standard deviations only \[Nm\].
@@ -152,33 +180,72 @@ impl Watch {
         self.look(start, &rms)
     }
 
-    /// Takes a stretch that begins at `start` \[s\] with its RMS per joint in the band \[Nm\]; returns a change of state.
+    /// Takes a stretch that begins at `start` \[s\] with its RMS per joint in the band \[Nm\]; returns a change of state, or another alarm beside an error
+    /// that nothing explains.
     pub fn look(&mut self, start: f64, rms: &[f64]) -> Option<News> {
         let sign = if self.lost.is_some() { -1.0 } else { 1.0 };
-        for (joint, (sum, since)) in self.sums.iter_mut().enumerate() {
-            if *sum <= 0.0 {
-                *since = start;
-            }
-            *sum = (*sum + sign * self.floor.ratio(joint, rms[joint])).max(0.0);
-        }
+        add(&mut self.sums, &self.floor, sign, start, rms);
         let over = threshold(self.sums.len());
         if self.lost.is_some() {
             // Every joint has to hold.
-            let held = self.sums.iter().all(|(sum, _)| *sum > over);
-            let since = self.sums.iter().map(|(_, since)| *since).fold(f64::NEG_INFINITY, f64::max);
-            held.then(|| self.reset());
-            return held.then_some(News::Holds { since });
+            if self.sums.iter().all(|(sum, _)| *sum > over) {
+                let since = self.sums.iter().map(|(_, since)| *since).fold(f64::NEG_INFINITY, f64::max);
+                self.reset();
+                return Some(News::Holds { since });
+            }
+            let (floor, watched) = self.beside.as_mut()?;
+            let sums = watched.as_mut()?;
+            add(sums, floor, 1.0, start, rms);
+            let news = alarm(sums, floor, rms);
+            // Once, until that is explained or not.
+            news.iter().for_each(|_| *watched = None);
+            return news;
         }
-        if !self.sums.iter().any(|(sum, _)| *sum > over) {
-            return None;
+        let news = alarm(&self.sums, &self.floor, rms);
+        match news {
+            Some(News::Lost { since, .. }) => {
+                self.reset();
+                self.lost = Some(since);
+            }
+            _ => self.hold(rms),
         }
-        let since =
-            self.sums.iter().filter(|(sum, _)| *sum > over).map(|(_, since)| *since).fold(f64::INFINITY, f64::min);
-        let above = |joint: &usize| rms[*joint] / self.floor.usual[*joint].max(f64::MIN_POSITIVE);
-        let worst = (0..rms.len()).max_by(|a, b| above(a).total_cmp(&above(b)))?;
-        self.reset();
-        self.lost = Some(since);
-        Some(News::Lost { since, joint: worst, rms: rms[worst], floor: self.floor.usual[worst] })
+        news
+    }
+
+    /// Nothing explains the error since the model was lost, which has this RMS per joint \[Nm\]: another change is looked for beside it.
+    pub fn accept(&mut self, rms: &[f64]) {
+        if self.lost.is_none() {
+            return;
+        }
+        let mut floor = self.floor.clone();
+        for (joint, rms) in rms.iter().enumerate() {
+            let ratio = (rms / floor.usual[joint].max(f64::MIN_POSITIVE)).max(1.0);
+            floor.usual[joint] *= ratio;
+            floor.limit[joint] *= ratio;
+        }
+        self.beside = Some((floor, Some(vec![(0.0, 0.0); self.sums.len()])));
+    }
+
+    /// Another change than the unexplained one has been found: under the model with it, that one is still there.
+    pub fn go_on(&mut self) {
+        self.sums.fill((0.0, 0.0));
+        let anew = vec![(0.0, 0.0); self.sums.len()];
+        self.beside.iter_mut().for_each(|(_, sums)| *sums = Some(anew.clone()));
+    }
+
+    /// Counts a stretch without an alarm. What is usual is bounded: an error that grows by and by is an alarm in the end.
+    fn hold(&mut self, rms: &[f64]) {
+        let (count, sums) = &mut self.held;
+        *count += 1.0;
+        for (joint, sum) in sums.iter_mut().enumerate() {
+            let identified = self.identified[joint].powi(2);
+            *sum += rms[joint].powi(2).min(MAX_USUAL_RATIO * identified);
+            let mean = (*sum + IDENTIFIED_STRETCHES * identified) / (*count + IDENTIFIED_STRETCHES);
+            let usual = mean.max(identified).sqrt();
+            let ratio = usual / self.floor.usual[joint].max(f64::MIN_POSITIVE);
+            self.floor.usual[joint] = usual;
+            self.floor.limit[joint] *= ratio;
+        }
     }
 
     /// When the model stopped to hold, while it does not \[s\].
@@ -189,8 +256,27 @@ impl Watch {
     /// Starts anew, under another model.
     pub fn reset(&mut self) {
         self.sums.fill((0.0, 0.0));
-        self.lost = None;
+        (self.lost, self.beside) = (None, None);
     }
+}
+
+/// Adds the log likelihood ratios of a stretch.
+fn add(sums: &mut Sums, floor: &Floor, sign: f64, start: f64, rms: &[f64]) {
+    for (joint, (sum, since)) in sums.iter_mut().enumerate() {
+        if *sum <= 0.0 {
+            *since = start;
+        }
+        *sum = (*sum + sign * floor.ratio(joint, rms[joint])).max(0.0);
+    }
+}
+
+/// The alarm of sums after a stretch, if they are one.
+fn alarm(sums: &Sums, floor: &Floor, rms: &[f64]) -> Option<News> {
+    let over = threshold(sums.len());
+    let since = sums.iter().filter(|(sum, _)| *sum > over).map(|(_, since)| *since).min_by(f64::total_cmp)?;
+    let above = |joint: &usize| rms[*joint] / floor.usual[*joint].max(f64::MIN_POSITIVE);
+    let worst = (0..rms.len()).max_by(|a, b| above(a).total_cmp(&above(b)))?;
+    Some(News::Lost { since, joint: worst, rms: rms[worst], floor: floor.usual[worst] })
 }
 
 /// Sample at which a change came, in a residual that has it at its end. `usual` is the RMS without it, `local` a number of samples: what a change does
@@ -208,16 +294,24 @@ pub fn onset(residual: &DMatrix<f64>, usual: &[f64], local: usize) -> usize {
     at
 }
 
-/// The sample from which on most of the square, less half of what it is in the last samples, adds up, in the joint where it is largest.
+/// The sample from which on most of the square, less half of what it is in the `last` samples, adds up, in the joint where that is largest; or in the
+/// first of those that are nearly as far above the usual, if more than so many samples lie between.
 fn begin(residual: &DMatrix<f64>, usual: &[f64], last: usize) -> usize {
     let count = residual.nrows();
     let end = rms(residual, count.saturating_sub(last.max(1))..count);
     let over = |joint: &usize| end[*joint] / usual[*joint].max(f64::MIN_POSITIVE);
-    let Some(joint) = (0..end.len()).max_by(|a, b| over(a).total_cmp(&over(b))) else { return 0 };
+    let begins = |joint: usize| begin_in(residual, usual, joint, end[joint]);
+    let Some(worst) = (0..end.len()).max_by(|a, b| over(a).total_cmp(&over(b))) else { return 0 };
+    let concerned = |joint: &usize| over(joint) >= CONCERNED_RATIO * over(&worst);
+    let own = begins(worst);
+    (0..end.len()).filter(concerned).map(begins).filter(|begin| begin + last < own).min().unwrap_or(own)
+}
+
+fn begin_in(residual: &DMatrix<f64>, usual: &[f64], joint: usize, end: f64) -> usize {
     // The low-pass spreads a step over both sides: half of it is at the step.
-    let level = (0.25 * end[joint].powi(2)).max(LOST_RATIO * usual[joint].powi(2));
-    let (mut sum, mut best) = (0.0, (0.0, count.saturating_sub(1)));
-    for k in (0..count).rev() {
+    let level = (0.25 * end.powi(2)).max(LOST_RATIO * usual[joint].powi(2));
+    let (mut sum, mut best) = (0.0, (0.0, residual.nrows().saturating_sub(1)));
+    for k in (0..residual.nrows()).rev() {
         sum += residual[(k, joint)].powi(2).min(4.0 * level) - level;
         if sum > best.0 {
             best = (sum, k);
@@ -257,25 +351,43 @@ pub enum Found {
 }
 
 /// Searches the time since a model was lost. `find` and `judge` are two motions of it, prepared alike. `served` is the model that is served now: the
-/// lost one, or one with changes from fewer samples, which then are refined.
+/// lost one, or one with changes from fewer samples, which then are refined. `floor` is what the lost model's errors were before. One change with which
+/// they are so again is more likely than several.
 pub fn search(
     lost: &TorqueModel,
     served: &TorqueModel,
     find: &Experiment,
     judge: &Experiment,
+    floor: &Floor,
     settings: &Settings,
 ) -> Found {
     let trials = [Trial::alone(find)];
-    let Changes { effects, .. } = reference::changes(lost, &trials, settings, &|_| {});
+    let with = |changes: Vec<Change>| reference::extended(lost, &changes).ok().map(|model| (changes, model));
+    let usual = |motion: &Experiment, model: &TorqueModel| holds(model, motion, floor, 0.0);
+    let one = reference::single_changes(lost, &trials, settings).into_iter().filter_map(|change| with(vec![change]));
+    let explains = |(_, model): &(Vec<Change>, TorqueModel)| usual(find, model) && usual(judge, model);
+    // What alone would not double the error is not named beside others.
+    let least = |usual: &f64| (LOST_RATIO * LOST_RATIO - 1.0).sqrt() * usual;
+    let seen = Settings { usual: floor.usual.iter().map(least).collect(), ..settings.clone() };
+    let several = || reference::changes(lost, &trials, &seen, &|_| {}).effects;
     let error = |model: &TorqueModel| rms(&residual(model, judge), inside(judge));
     let (before, now) = (error(lost), error(served));
-    let nothing = |tried: usize| Found::Nothing { tried, before: now.clone() };
-    let Ok(extended) = reference::extended(lost, &effects) else { return nothing(effects.len()) };
+    let (effects, extended) = match one.into_iter().find(explains) {
+        Some(found) => found,
+        None => {
+            let effects = several();
+            let tried = effects.len();
+            match with(effects) {
+                Some(found) => found,
+                None => return Found::Nothing { tried, before: now },
+            }
+        }
+    };
     let after = error(&extended);
     let worst = |rms: &[f64]| rms.iter().copied().fold(0.0, f64::max);
     let enough = (MAX_REMAINING_RATIO * worst(&before)).min(MAX_REFINED_RATIO * worst(&now));
     if effects.is_empty() || worst(&after) > enough {
-        return nothing(effects.len());
+        return Found::Nothing { tried: effects.len(), before: now };
     }
     let deviations = deviations(lost, &effects, &extended).unwrap_or_default();
     Found::Remedy(Box::new(Remedy { changes: effects, model: extended, before, after, deviations }))
@@ -436,6 +548,87 @@ mod tests {
         assert!(watch.look(0.0, &[1.0; JOINTS]).is_some() && watch.lost_since().is_some());
         watch.reset();
         assert_eq!((watch.lost_since(), watch.look(2.0, &[0.01; JOINTS])), (None, None));
+    }
+
+    #[test]
+    fn an_error_within_what_is_known_is_no_alarm() {
+        let mut rng = ChaCha8Rng::seed_from_u64(5);
+        for (spread, alarms) in [(0.0, true), (0.06, false)] {
+            let mut watch = watch(&mut rng, 5);
+            let lost = (0..40).any(|k| {
+                let rms = stretch(&mut rng, 5, 0.06);
+                watch.look_within(k as f64 * STRETCH_S, &rms, &[spread; JOINTS]).is_some()
+            });
+            assert_eq!(lost, alarms, "known to {spread} Nm");
+        }
+    }
+
+    #[test]
+    fn an_error_that_was_always_there_is_usual_up_to_twice_the_identified_one() {
+        let mut rng = ChaCha8Rng::seed_from_u64(7);
+        let mut watch = watch(&mut rng, 5);
+        let identified = watch.floor().usual[0];
+        for k in 0..80 {
+            assert_eq!(watch.look(k as f64 * STRETCH_S, &stretch(&mut rng, 5, 1.5 * identified)), None, "stretch {k}");
+        }
+        let usual = watch.usual().usual[0] / identified;
+        assert!((1.3..1.6).contains(&usual), "{usual}");
+        (0..1000).for_each(|_| watch.hold(&[1.0; JOINTS]));
+        let usual = watch.usual().usual[0] / identified;
+        assert!((1.9..=2.0).contains(&usual), "{usual}");
+    }
+
+    #[test]
+    fn another_change_shows_beside_one_that_nothing_explains() {
+        let mut rng = ChaCha8Rng::seed_from_u64(8);
+        let mut watch = watch(&mut rng, 5);
+        let mut look = |watch: &mut Watch, sizes: [f64; 2]| -> Vec<(usize, News)> {
+            let news = |k: usize| {
+                let mut rms = stretch(&mut rng, 5, 0.02);
+                (rms[2], rms[4]) = (stretch(&mut rng, 5, sizes[0])[2], stretch(&mut rng, 5, sizes[1])[4]);
+                watch.look(k as f64 * STRETCH_S, &rms).map(|news| (k, news))
+            };
+            (0..60).filter_map(news).collect()
+        };
+        assert!(matches!(look(&mut watch, [0.1, 0.02])[..], [(0..3, News::Lost { joint: 2, .. })]));
+        // Nothing is new before it is known that nothing explains it.
+        assert_eq!(look(&mut watch, [0.1, 0.3]), []);
+        watch.accept(&[0.02, 0.02, 0.1, 0.02, 0.02, 0.02, 0.02]);
+        assert_eq!(look(&mut watch, [0.1, 0.02]), []);
+        let usual = (watch.usual().usual[2], watch.floor().usual[2]);
+        assert!(usual.0 < 0.05 && usual.1 == 0.1, "{usual:?}");
+        assert!(matches!(look(&mut watch, [0.1, 0.3])[..], [(0..3, News::Lost { joint: 4, .. })]));
+        // The other change is in the model that is served now.
+        watch.go_on();
+        assert_eq!(look(&mut watch, [0.1, 0.02]), []);
+        assert!(matches!(look(&mut watch, [0.02, 0.02])[..], [(_, News::Holds { .. })]));
+        assert_eq!((watch.lost_since(), watch.floor() == watch.usual()), (None, true));
+    }
+
+    #[test]
+    fn a_change_is_dated_by_the_first_joint_that_it_concerns() {
+        let mut rng = ChaCha8Rng::seed_from_u64(9);
+        let residual = DMatrix::from_fn(2000, 3, |k, joint| {
+            let noise = 0.02 * rng.sample::<f64, _>(StandardNormal);
+            // The last is worse than usual all the time.
+            noise * if joint == 2 { 1.8 } else { 1.0 }
+                + if k >= [900, 1300, 2000][joint] { [0.4, 0.5, 0.0][joint] } else { 0.0 }
+        });
+        let found = onset(&residual, &[0.02; 3], 250);
+        assert!(found.abs_diff(900) <= 5, "{found}");
+    }
+
+    #[test]
+    fn a_change_that_grows_is_dated_to_its_begin() {
+        let mut rng = ChaCha8Rng::seed_from_u64(6);
+        for at in [900, 1300] {
+            // A tenth of what it is at the end, from the first sample on.
+            let value = |k: usize| if k < at { 0.0 } else { 0.2 + 1.8 * (k - at) as f64 / (2000 - at) as f64 };
+            let residual = DMatrix::from_fn(2000, 1, |k, _| 0.02 * rng.sample::<f64, _>(StandardNormal) + value(k));
+            let found = onset(&residual, &[0.02], 250);
+            assert!(found.abs_diff(at) <= 100, "{found}, not {at}");
+            assert!(begin(&residual, &[0.02], 500) > at + 150, "once is not enough");
+        }
     }
 
     #[test]

@@ -15,7 +15,7 @@ use plumbline_model::term::effect::{Family, OperatingPoint, Place, Spec};
 use std::cell::OnceCell;
 
 /// Candidates above this share of the best score are tied, where the noise is unknown.
-const TIE_RATIO: f64 = 0.8;
+pub(super) const TIE_RATIO: f64 = 0.8;
 /// A form whose score is better by no more than this is not preferred to one of the same effect with fewer settings, for outside of the recorded range
 /// they may differ much. Only from here on the evidence is strong (Kass and Raftery, Journal of the American Statistical Association 90, 1995).
 const MIN_FORM_GAP: f64 = 6.0;
@@ -307,17 +307,22 @@ impl<'a> Search<'a> {
                     rivals.push(Rival { item: other.item.clone(), gap });
                 }
             }
-            found.push(Found {
-                score: own.score,
-                evidence: own.tried.evidence,
-                penalty: own.penalty,
-                folds: gates::folds(&self.problem, &rest, &own.tried),
-                relevance: gates::relevance(self.evidence(), &rest, &own.tried, &chosen),
-                independence: own.tried.independence,
-                rivals,
-            });
+            found.push(self.found(&rest, &own, rivals));
             item += 1;
         }
         (state, found)
+    }
+
+    /// The facts on a candidate that was tried in a state.
+    pub(super) fn found(&self, state: &State, one: &Scored, rivals: Vec<Rival>) -> Found {
+        Found {
+            score: one.score,
+            evidence: one.tried.evidence,
+            penalty: one.penalty,
+            folds: gates::folds(&self.problem, state, &one.tried),
+            relevance: gates::relevance(self.evidence(), state, &one.tried, &one.item),
+            independence: one.tried.independence,
+            rivals,
+        }
     }
 }

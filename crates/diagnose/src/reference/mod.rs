@@ -22,7 +22,7 @@ use super::input::Settings;
 use super::library::{self, Candidate};
 use super::moments::Columns;
 use super::proposals::Scored;
-use super::select::{Search, Selected};
+use super::select::{Search, Selected, TIE_RATIO};
 use super::span::Span;
 use super::state::{State, unmodelled_below};
 use nalgebra::{DMatrix, DVector};
@@ -123,11 +123,59 @@ pub fn changes(reference: &TorqueModel, trials: &[Trial], settings: &Settings, p
     searched(reference, &evidence, trials, BAND_EDGES_HZ.len(), settings, progress)
 }
 
+/// Changes of which each by itself may be what [`changes`] looks for, the best first; where the noise is unknown, the simplest of those that are nearly as
+/// good.
+pub fn single_changes(reference: &TorqueModel, trials: &[Trial], settings: &Settings) -> Vec<Change> {
+    let evidence = Evidence::of(reference.structure().chain(), trials, settings.band);
+    let alone = |search: &Search, base: State| {
+        let one = |one: Scored| {
+            let found = search.found(&base, &one, Vec::new());
+            change(search, &base.with(&search.problem, one.item), 0, found)
+        };
+        let mut scored = search.propose(&base, |_| true);
+        scored.retain(|one| one.score > 0.0);
+        let best = scored.first().map_or(0.0, |one| one.score);
+        let least = if evidence.repeats() { best } else { TIE_RATIO * best };
+        let tied = scored.partition_point(|one| one.score >= least);
+        scored[..tied].sort_by_key(Scored::cost);
+        scored.into_iter().map(one).collect()
+    };
+    with_prior(reference, &evidence, trials, settings, alone).unwrap_or_default()
+}
+
 /// [`changes`] in runs that are unseen by the identification of `reference`; the noise is that of the runs that it was `identified` from. What is
 /// left over is that below 4 Hz.
 pub fn in_unseen(reference: &TorqueModel, identified: &[Trial], unseen: &[Trial], settings: &Settings) -> Changes {
     let evidence = Evidence::with_noise_of(reference.structure().chain(), unseen, identified, settings.band);
     searched(reference, &evidence, unseen, LOW_BANDS, settings, &|_| {})
+}
+
+/// Calls `then` with the search of what changed, and the state without any change; `None` where the trials are too short.
+fn with_prior<T>(
+    reference: &TorqueModel,
+    evidence: &Evidence,
+    trials: &[Trial],
+    settings: &Settings,
+    then: impl FnOnce(&Search, State) -> T,
+) -> Option<T> {
+    let structure = reference.structure();
+    if evidence.folds().is_empty() {
+        return None;
+    }
+    let beta = reference.beta();
+    let stored = DVector::from_column_slice(&beta);
+    let m = evidence.regressor(structure, trials);
+    let r = evidence.torques(trials).into_iter().zip(&m).map(|(tau, m)| tau - m * &stored).collect();
+    let prior = prior(reference.parameters());
+    let problem = Problem { evidence, prior: Some(&prior) };
+    let base = State::base(&problem, Columns { m, r });
+    let operating_point = evidence.operating_point(structure, &beta);
+    let families = families();
+    let mut library = library::library(evidence, &operating_point, &families, Span::ALL, settings.threads);
+    library.extend(since_sessions(evidence, &operating_point, &families, settings.threads));
+    let search =
+        Search { problem, operating_point: &operating_point, library: &library, settings, deciding: None, came: &[] };
+    Some(then(&search, base))
 }
 
 fn searched(
@@ -138,32 +186,19 @@ fn searched(
     settings: &Settings,
     progress: &Watch,
 ) -> Changes {
-    let structure = reference.structure();
-    if evidence.folds().is_empty() {
-        return Changes::default();
-    }
-    let beta = reference.beta();
-    let stored = DVector::from_column_slice(&beta);
-    let m = evidence.regressor(structure, trials);
-    let r = evidence.torques(trials).into_iter().zip(&m).map(|(tau, m)| tau - m * &stored).collect();
-    let prior = prior(reference.parameters());
-    let problem = Problem { evidence, prior: Some(&prior) };
-    let base = State::base(&problem, Columns { m, r });
-    let before = left_over(evidence, &base, &DVector::zeros(beta.len()), bands);
-    let operating_point = evidence.operating_point(structure, &beta);
-    let families = families();
-    let mut library = library::library(evidence, &operating_point, &families, Span::ALL, settings.threads);
-    library.extend(since_sessions(evidence, &operating_point, &families, settings.threads));
-    let search =
-        Search { problem, operating_point: &operating_point, library: &library, settings, deciding: None, came: &[] };
-    let (least, lacking) = (least(&search, &base), lack(evidence, &base));
-    let selected = search.select(base, &[], progress);
-    let doubt = doubt(evidence, &selected.state, reference.parameters());
-    // The stored parameters stay what they are.
-    let mut theta = selected.state.fit.theta.clone();
-    theta.rows_mut(0, beta.len()).fill(0.0);
-    let after = left_over(evidence, &selected.state, &theta, bands);
-    Changes { least, ..report(&search, selected, [before, after], lacking, doubt) }
+    let select = |search: &Search, base: State| {
+        let parameters = reference.parameters();
+        let before = left_over(evidence, &base, &DVector::zeros(parameters.len()), bands);
+        let (least, lacking) = (least(search, &base), lack(evidence, &base));
+        let selected = search.select(base, &[], progress);
+        let doubt = doubt(evidence, &selected.state, parameters);
+        // The stored parameters stay what they are.
+        let mut theta = selected.state.fit.theta.clone();
+        theta.rows_mut(0, parameters.len()).fill(0.0);
+        let after = left_over(evidence, &selected.state, &theta, bands);
+        Changes { least, ..report(search, selected, [before, after], lacking, doubt) }
+    };
+    with_prior(reference, evidence, trials, settings, select).unwrap_or_default()
 }
 
 /// What changed between sessions: parameters are fitted to all of them together, and every family may have come with any session

@@ -1,6 +1,7 @@
 //! What changed since a model was identified, on simulated recordings whose truth is known.
 
-use plumbline_diagnose::reference::{Change, Changes, between_sessions, changes, extended};
+use plumbline_diagnose::live::{self, Floor, Found, Remedy};
+use plumbline_diagnose::reference::{Change, Changes, between_sessions, changes, extended, single_changes};
 use plumbline_diagnose::{Settings, Trial};
 use plumbline_identify::solve::identify;
 use plumbline_identify::{Experiment, validate};
@@ -107,6 +108,51 @@ fn a_payload_is_found_with_its_mass_and_the_model_that_carries_it_predicts() {
     let (before, after) = (rms(stored()), rms(&carrying));
     println!("upright, unseen, mean over joints in the 5 Hz band: {before:.3} -> {after:.3} Nm");
     assert!(before > 0.8 && after < 0.04, "{before} -> {after}");
+}
+
+/// What the live watch does with a change: the model with it holds, the one without it does not, and what is known of it tells how far two models
+/// from other noise are apart.
+#[test]
+fn how_well_a_change_is_known_tells_the_error_of_its_torque() {
+    let as_it_was = record(&truth(""), true, 2, Mounting::WALL, 507);
+    let floor = Floor::of(stored(), &as_it_was[1]);
+    let remedy = |seed: u64| -> (Box<Remedy>, Vec<Experiment>) {
+        let new = record(&truth(PAYLOAD), true, 2, Mounting::WALL, seed);
+        match live::search(stored(), stored(), &new[0], &new[1], &floor, &settings()) {
+            Found::Remedy(remedy) => (remedy, new),
+            other => panic!("{other:?}"),
+        }
+    };
+    let ((one, new), (other, _)) = (remedy(607), remedy(617));
+    let holds = |model: &TorqueModel, motion: &Experiment, seconds: f64| live::holds(model, motion, &floor, seconds);
+    assert!(holds(stored(), &as_it_was[1], 0.0) && holds(&one.model, &new[1], 0.0) && holds(&one.model, &new[1], 5.0));
+    assert!(!holds(stored(), &new[1], 0.0) && !holds(&one.model, &as_it_was[1], 0.0));
+
+    let unseen = &record(&truth(PAYLOAD), false, 1, Mounting::UPRIGHT, 707)[0];
+    let samples = 0..unseen.motion.samples();
+    let spread = live::spread(&one.deviations, unseen, samples.clone());
+    let apart = live::rms(&(live::residual(&one.model, unseen) - live::residual(&other.model, unseen)), samples);
+    println!("apart {apart:.4?}, known to {spread:.4?} Nm");
+    // The last joint carries little of it.
+    for joint in 0..6 {
+        let ratio = apart[joint] / (spread[joint] * 2f64.sqrt());
+        assert!((0.1..3.0).contains(&ratio), "joint {}: {} of {} Nm", joint + 1, apart[joint], spread[joint]);
+    }
+}
+
+#[test]
+fn a_change_is_found_alone_and_only_above_what_the_model_lacks_by_itself() {
+    let new = record(&truth(PAYLOAD), true, 1, Mounting::WALL, 807);
+    let trials = [Trial::alone(&new[0])];
+    let first = single_changes(stored(), &trials, &settings());
+    assert_eq!(first[0].spec.family, "payload");
+    let mass = extended(stored(), &first[..1]).unwrap();
+    assert!(validate(&new[0], |motion| mass.predict(motion)).filtered[1] < 0.05);
+    let found = |usual: f64| {
+        let settings = Settings { usual: vec![usual; 7], ..settings() };
+        changes(stored(), &trials, &settings, &|_| {}).effects.len()
+    };
+    assert_eq!([found(0.1), found(50.0)], [1, 0]);
 }
 
 #[test]
