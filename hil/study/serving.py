@@ -83,8 +83,8 @@ def one(job):
         truth = cases.make(seed, clean, work, served=True)
         row["conditions"] = truth["conditions"]
         done = subprocess.run([program, "--ignored", "--exact", TEST], env=os.environ | {"PLUMBLINE_SERVED_CASE": str(work)}, capture_output=True, text=True)
-        if done.returncode:
-            row["failed"] = done.stdout[-400:]
+        if done.returncode or "1 passed" not in done.stdout:
+            row["failed"] = done.stdout[-400:] or "no test ran"
         else:
             row |= score(json.loads((work / "live" / "live.json").read_text()), truth)
         if keep and seed < JUDGES_SEEDS:
