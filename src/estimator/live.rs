@@ -281,6 +281,10 @@ impl Live {
         self.proposed = None;
         self.silent = false;
         self.watch.iter_mut().for_each(if beside { Watch::go_on } else { Watch::reset });
+        let still = |since: f64| format!("since {since:.1} s there is an error that no known change explains");
+        if let Some(since) = self.unexplained {
+            self.verdict = Some(Verdict { model: record.model, doubt: Some(still(since)) });
+        }
     }
 
     /// Evaluates the last stretch without filter transients.

@@ -364,24 +364,17 @@ pub fn search(
     let trials = [Trial::alone(find)];
     let with = |changes: Vec<Change>| reference::extended(lost, &changes).ok().map(|model| (changes, model));
     let usual = |motion: &Experiment, model: &TorqueModel| holds(model, motion, floor, 0.0);
-    let one = reference::single_changes(lost, &trials, settings).into_iter().filter_map(|change| with(vec![change]));
     let explains = |(_, model): &(Vec<Change>, TorqueModel)| usual(find, model) && usual(judge, model);
+    let mut alone =
+        reference::single_changes(lost, &trials, settings).into_iter().filter_map(|change| with(vec![change]));
     // What alone would not double the error is not named beside others.
     let least = |usual: &f64| (LOST_RATIO * LOST_RATIO - 1.0).sqrt() * usual;
     let seen = Settings { usual: floor.usual.iter().map(least).collect(), ..settings.clone() };
-    let several = || reference::changes(lost, &trials, &seen, &|_| {}).effects;
+    let several = || with(reference::changes(lost, &trials, &seen, &|_| {}).effects);
     let error = |model: &TorqueModel| rms(&residual(model, judge), inside(judge));
     let (before, now) = (error(lost), error(served));
-    let (effects, extended) = match one.into_iter().find(explains) {
-        Some(found) => found,
-        None => {
-            let effects = several();
-            let tried = effects.len();
-            match with(effects) {
-                Some(found) => found,
-                None => return Found::Nothing { tried, before: now },
-            }
-        }
+    let Some((effects, extended)) = alone.find(explains).or_else(several) else {
+        return Found::Nothing { tried: 0, before: now };
     };
     let after = error(&extended);
     let worst = |rms: &[f64]| rms.iter().copied().fold(0.0, f64::max);
