@@ -135,14 +135,7 @@ impl Results {
     /// The motion of an arm that plumbline does not drive cannot be had again: where it does not identify a model, its dataset is kept.
     pub fn identify(&mut self) -> Result<String, Failure> {
         let runs = self.runs(Role::Identify);
-        let identified = pipeline::identify(
-            &self.robot,
-            &runs,
-            &pipeline::plain_terms(&self.robot),
-            &self.settings,
-            &self.job.solver(),
-        );
-        let identified = match identified {
+        let identified = match self.identified_from(&runs) {
             Err(failure) if self.last_unplanned.is_some() => {
                 let dir = self.out.join("dataset");
                 self.dataset().write(&dir).map_err(Failure::job)?;
@@ -331,17 +324,16 @@ impl Results {
         self.recorded.iter().filter(|recorded| recorded.role == role).map(|recorded| &recorded.run).collect()
     }
 
+    fn identified_from(&self, runs: &[&Run]) -> Result<Identified, Failure> {
+        let terms = pipeline::plain_terms(&self.robot);
+        pipeline::identify(&self.robot, runs, &terms, &self.settings, &self.job.solver())
+    }
+
     /// Errors of the vertical base set in another mounting.
     fn counter_experiment(&self, judged: &[(&Run, Judged)]) -> Result<Option<(CounterExperiment, ModelFile)>, Failure> {
         let runs = self.runs(Role::Counter);
         let Some(first) = runs.first() else { return Ok(None) };
-        let vertical = pipeline::identify(
-            &self.robot,
-            &runs,
-            &pipeline::plain_terms(&self.robot),
-            &self.settings,
-            &self.job.solver(),
-        )?;
+        let vertical = self.identified_from(&runs)?;
         let Err(refused) = vertical.model.valid_in(&self.job.mounting) else { return Ok(None) };
         let here: Vec<&(&Run, Judged)> =
             judged.iter().filter(|(run, _)| run.data.mounting == self.job.mounting).collect();

@@ -363,21 +363,19 @@ impl Live {
         let Some(mut change) = self.change.filter(|_| self.searching.is_none() && !self.silent) else {
             return Ok(None);
         };
-        let after = |since: f64| self.buffer.partition_point(|record| record.state.time < since + CHANGE_MARGIN_S);
         let found = self.serving != change.before || self.proposed.is_some_and(|_| self.adopt == Adopt::Ask);
-        if !change.returned && !found && self.buffer.len() - after(change.since) >= self.samples(RETURN_S) {
-            // There is more to see of the change now than at the alarm.
-            // It may pass through zero, and grow again.
+        if !change.returned && !found && self.buffer.len() - self.after(change.since) >= self.samples(RETURN_S) {
+            // There is more to see of the change now than at the alarm; but its torque may have passed through zero meanwhile.
             let near = |since: &f64| *since < change.since + CHANGE_MARGIN_S;
             let since = self.onset(change.since).filter(near).unwrap_or(change.since);
             change = Change { since, returned: true, ..change };
-            let first = after(change.since);
+            let first = self.after(change.since);
             self.change = Some(change);
             if let Some(offer) = self.earlier(change.since, first, Watch::floor)? {
                 return Ok(Some(offer));
             }
         }
-        let after = self.buffer.partition_point(|record| record.state.time < change.since + CHANGE_MARGIN_S);
+        let after = self.after(change.since);
         let count = self.buffer.len() - after;
         if count < self.samples(change.wanted) && change.doubted.is_none() {
             return Ok(None);
@@ -506,7 +504,7 @@ impl Live {
 
     /// Whether a model that was fitted to all samples since a change holds ever since it came, and since the one that is served is doubted.
     fn refines(&self, change: Change, remedy: &Remedy) -> bool {
-        let first = self.buffer.partition_point(|record| record.state.time < change.since + CHANGE_MARGIN_S);
+        let first = self.after(change.since);
         let last = self.now() - change.doubted.unwrap_or(change.since);
         let holds =
             |(experiment, watch): (Experiment, &Watch)| live::holds(&remedy.model, &experiment, watch.floor(), last);
@@ -581,6 +579,11 @@ impl Live {
         let experiment = Experiment::prepare(&run, &self.settings).ok()?;
         let resting = experiment.resting().iter().filter(|rests| **rests).count();
         (2 * resting < experiment.resting().len()).then_some(experiment)
+    }
+
+    /// First sample of the buffer that a change at `since` \[s\] acts on, beyond its margin.
+    fn after(&self, since: f64) -> usize {
+        self.buffer.partition_point(|record| record.state.time < since + CHANGE_MARGIN_S)
     }
 
     /// Number of records in a time.

@@ -126,6 +126,12 @@ impl Floor {
         Floor { usual, freedom, limit }
     }
 
+    /// Another usual RMS of a joint \[Nm\], to which its limit is proportional.
+    fn set_usual(&mut self, joint: usize, usual: f64) {
+        self.limit[joint] *= usual / self.usual[joint].max(f64::MIN_POSITIVE);
+        self.usual[joint] = usual;
+    }
+
     /// Log likelihood ratio of a doubled error in a stretch with this RMS.
     fn ratio(&self, joint: usize, rms: f64) -> f64 {
         let square = (rms / self.usual[joint].max(f64::MIN_POSITIVE)).powi(2) / UNSEEN_RATIO;
@@ -219,9 +225,8 @@ impl Watch {
         }
         let mut floor = self.floor.clone();
         for (joint, rms) in rms.iter().enumerate() {
-            let ratio = (rms / floor.usual[joint].max(f64::MIN_POSITIVE)).max(1.0);
-            floor.usual[joint] *= ratio;
-            floor.limit[joint] *= ratio;
+            let usual = rms.max(floor.usual[joint]);
+            floor.set_usual(joint, usual);
         }
         self.beside = Some((floor, Some(vec![(0.0, 0.0); self.sums.len()])));
     }
@@ -241,10 +246,7 @@ impl Watch {
             let identified = self.identified[joint].powi(2);
             *sum += rms[joint].powi(2).min(MAX_USUAL_RATIO * identified);
             let mean = (*sum + IDENTIFIED_STRETCHES * identified) / (*count + IDENTIFIED_STRETCHES);
-            let usual = mean.max(identified).sqrt();
-            let ratio = usual / self.floor.usual[joint].max(f64::MIN_POSITIVE);
-            self.floor.usual[joint] = usual;
-            self.floor.limit[joint] *= ratio;
+            self.floor.set_usual(joint, mean.max(identified).sqrt());
         }
     }
 
