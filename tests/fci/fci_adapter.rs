@@ -255,7 +255,7 @@ fn a_user_stop_in_motion_is_no_reflex_of_an_earlier_motion() {
 
 /// What a stall of ours of `pause` at tick 150 ends in.
 fn stall(pause: Duration, in_write: bool) -> (Fault, String) {
-    let fake = Fake::start(Protocol::V10, healthy);
+    let fake = Fake::start(Protocol::V10, |world| world.waits = false);
     let (mut arm, connection) = open(&fake, Protocol::V10);
     let start = arm.read().unwrap();
     let mut state = start;

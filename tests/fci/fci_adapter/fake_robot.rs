@@ -14,6 +14,9 @@ use std::sync::{Arc, Mutex};
 
 pub const READY: [f64; 7] = [0.0, -0.4, 0.0, -2.0, 0.3, 1.8, 0.5];
 const TICK: f64 = 1e-3;
+/// Longest wait for the answer to a state. Twenty of them are longer than a loaded machine stalls, and one is shorter than a client waits for the
+/// next state where it leaves the last without an answer, as it does when it stops.
+const PATIENCE_NS: u64 = 30_000_000;
 
 /// What the fake is made of, and what it has seen.
 pub struct World {
@@ -34,6 +37,13 @@ pub struct World {
     /// Every command that came, with the tick at which it was used.
     pub commands: Vec<(u64, RobotCommand)>,
     pub requests: Vec<Request>,
+    /// Whether the clock stands until a client that has begun to command answers the last state, so that a loaded machine is no
+    /// stall of the client. Off in the tests whose client stalls.
+    pub waits: bool,
+    /// Whether the client commands the motion that runs.
+    commands_come: bool,
+    /// Whether the last state went out.
+    sent: bool,
     missing: u32,
 }
 
@@ -72,6 +82,7 @@ impl World {
                 self.state.robot_mode = RobotMode::Move;
                 self.state.reflex_reason = Errors::NONE;
                 (self.motion, self.ticks, self.missing) = (Some(id), 0, 0);
+                self.commands_come = false;
             }
             Request::StopMove => {
                 self.end(RobotMode::Idle, Errors::NONE, Some(MoveStatus::Preempted));
@@ -190,6 +201,9 @@ impl Fake {
             closes: false,
             commands: Vec::new(),
             requests: Vec::new(),
+            waits: true,
+            commands_come: false,
+            sent: false,
             missing: 0,
         }));
         let ends = Arc::new(AtomicBool::new(false));
@@ -230,6 +244,7 @@ fn run(address: IpAddr, listener: &TcpListener, world: &Mutex<World>, ends: &Ato
     while !ends.load(Ordering::Relaxed) {
         due += 1_000_000;
         sleep_until(due);
+        let answer = answer(&udp, world);
         // A machine that stalled does not cause a burst of states.
         due = due.max(now_ns().saturating_sub(3_000_000));
         let mut world = world.lock().unwrap();
@@ -238,14 +253,7 @@ fn run(address: IpAddr, listener: &TcpListener, world: &Mutex<World>, ends: &Ato
             stream.set_nonblocking(true).unwrap();
             client = Some(Client { stream, states_to: None, bytes: Vec::new() });
         }
-        let mut newest = None;
-        let mut datagram = [0; 1024];
-        while let Ok((length, _)) = udp.recv_from(&mut datagram) {
-            let command = RobotCommand::decode(world.protocol, &datagram[..length]).ok();
-            // A robot drops what answers an older state.
-            newest = command.filter(|command| command.message_id == world.state.message_id).or(newest);
-        }
-        world.step(newest);
+        world.step(answer);
         if let Some(connected) = &mut client
             && !listen(connected, world)
         {
@@ -265,12 +273,36 @@ fn run(address: IpAddr, listener: &TcpListener, world: &Mutex<World>, ends: &Ato
                     let _ = udp.send_to(&extra, to);
                 }
                 let _ = udp.send_to(&datagram[..length], to);
+                world.sent = true;
             }
             let _ = connected.stream.write_all(&std::mem::take(&mut world.answers));
         }
         if std::mem::take(&mut world.closes) {
             client = None;
         }
+    }
+}
+
+/// The command that answers the last state. Where the world waits and one is due, it is waited for.
+fn answer(udp: &UdpSocket, world: &Mutex<World>) -> Option<RobotCommand> {
+    let mut datagram = [0; 1024];
+    let begin = now_ns();
+    loop {
+        let mut world = world.lock().unwrap();
+        let mut newest = None;
+        while let Ok((length, _)) = udp.recv_from(&mut datagram) {
+            let command = RobotCommand::decode(world.protocol, &datagram[..length]).ok();
+            // A robot drops what answers an older state.
+            newest = command.filter(|command| command.message_id == world.state.message_id).or(newest);
+        }
+        let due = world.waits && world.motion.is_some() && world.commands_come && world.sent;
+        if newest.is_some() || !due || now_ns() > begin + PATIENCE_NS {
+            world.commands_come |= newest.is_some();
+            world.sent = false;
+            return newest;
+        }
+        drop(world);
+        sleep_until(now_ns() + 100_000);
     }
 }
 
