@@ -157,7 +157,7 @@ fn the_arm_of_another_controller_is_identified_diagnosed_and_served() {
 }
 
 #[test]
-#[ignore = "hil/long-tests/run.sh"]
+#[ignore = "hil/long-tests/run.sh --all"]
 fn a_publisher_that_is_absent_killed_or_started_again_loses_nothing() {
     let place = Place::new("guest-killed");
     let times = ["backend.guest.identify=60 s", "backend.guest.validate=20 s", "backend.guest.run=20 s"];

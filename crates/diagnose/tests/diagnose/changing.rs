@@ -137,6 +137,7 @@ fn noise_alone_raises_no_alarm() {
 }
 
 #[test]
+#[ignore = "hil/long-tests/run.sh --all"]
 fn noise_of_few_periods_raises_no_alarm_either() {
     let mut alarms = Vec::new();
     for seed in 200..205 {

@@ -46,7 +46,7 @@ fn withheld<'o>(outcome: &'o Outcome, family: &str) -> &'o str {
 }
 
 #[test]
-#[ignore = "hil/long-tests/run.sh"]
+#[ignore = "hil/long-tests/run.sh --all"]
 fn an_effect_that_unseen_runs_do_not_have_is_not_delivered() {
     let scene = Scene::panda_on_the_wall();
     let identify = 2;
@@ -81,7 +81,7 @@ fn an_effect_that_unseen_runs_have_is_delivered() {
 }
 
 #[test]
-#[ignore = "hil/long-tests/run.sh"]
+#[ignore = "hil/long-tests/run.sh --all"]
 fn an_effect_that_most_joints_have_is_named_where_it_shows() {
     let scene = Scene::panda_on_the_wall();
     let named = |others: &[usize]| {
@@ -119,7 +119,7 @@ fn a_run_that_differs_from_the_identified_ones_is_never_nothing_significant() {
 }
 
 #[test]
-#[ignore = "hil/long-tests/run.sh"]
+#[ignore = "hil/long-tests/run.sh --all"]
 fn a_run_may_differ_more_where_effects_are_delivered() {
     let scene = Scene::panda_on_the_wall();
     let differs = |effect: f64, more: f64| {

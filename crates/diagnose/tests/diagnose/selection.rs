@@ -53,6 +53,7 @@ fn a_torque_offset() {
 
 /// Coulomb friction as an arc tangent of speed.
 #[test]
+#[ignore = "hil/long-tests/run.sh --all"]
 fn friction_that_rises_over_a_range_of_speeds() {
     let text = "joint = 3\nform = \"arctan\"\nsize = 0.2\nvelocity = 0.02";
     found(13, "coulomb-slope", Site::Joint(2), text);
@@ -71,6 +72,7 @@ fn a_sensor_that_feels_another_joint() {
 
 /// A link that falls from flank to flank swings there.
 #[test]
+#[ignore = "hil/long-tests/run.sh --all"]
 fn a_gap_that_a_link_swings_in() {
     found(16, "backlash", Site::Joint(5), "joint = 6\ngap = 0.0025");
 }
