@@ -6,12 +6,13 @@ mod replay;
 
 use self::log::{Event, Log, Stretch};
 use crate::analysis::collector::{MAX_GAP_S, states};
-use crate::analysis::pipeline;
+use crate::analysis::pipeline::{self, Identified};
 use crate::config::job::{Adopt, Job};
 use crate::dataset::Run;
 use crate::failure::Failure;
 use crate::report::diagnosis::Effect;
 use crate::store::{ModelFile, Provenance, model_identity};
+use nalgebra::DMatrix;
 use plumbline_core::{Phase, Record, Validity, threads};
 use plumbline_diagnose::live;
 use plumbline_diagnose::live::{END_MARGIN_S, Floor, Found, News, Remedy, STRETCH_S, Watch, onset};
@@ -105,6 +106,8 @@ pub struct Live {
     mounting: Mounting,
     out: PathBuf,
     noise_floor: Vec<f64>,
+    /// Covariance of the identified parameters, which every model has.
+    covariance: DMatrix<f64>,
     /// The identified model and those that were proposed.
     models: Vec<Known>,
     watch: Option<Watch>,
@@ -145,6 +148,7 @@ impl Live {
             mounting: job.mounting,
             out: out.to_path_buf(),
             noise_floor: Vec::new(),
+            covariance: DMatrix::zeros(0, 0),
             models: Vec::new(),
             watch: None,
             serving: 0,
@@ -164,18 +168,14 @@ impl Live {
     }
 
     /// Stores the model identified from `run`, and its usual error.
-    pub fn identified(
-        &mut self,
-        model: &TorqueModel,
-        noise_floor: &[f64],
-        text: &str,
-        run: &Run,
-    ) -> Result<(), Failure> {
+    pub fn identified(&mut self, identified: &Identified, text: &str, run: &Run) -> Result<(), Failure> {
+        let Identified { model, identification, .. } = identified;
         let samples = run.samples().min(self.samples(CALIBRATION_S));
         let part = plumbline_identify::Run { period: None, ..run.data.part(0, samples) };
         let floor = Floor::of(model, &pipeline::experiment(&part, &self.settings)?);
         (self.log.usual, self.log.limit) = (floor.usual.clone(), floor.limit.clone());
-        self.noise_floor = noise_floor.to_vec();
+        self.noise_floor = identification.rms.noise_floor.clone().unwrap_or_default();
+        self.covariance = identification.covariance.clone();
         self.models =
             vec![Known { id: model_identity(text), model: model.clone(), toml: text.into(), deviations: Vec::new() }];
         self.watch = Some(Watch::new(floor));
@@ -297,7 +297,10 @@ impl Live {
         let Some(start) = count.checked_sub(self.samples(STRETCH_S) + ends) else { return };
         let stretch = start..start + self.samples(STRETCH_S);
         let rms = live::rms(&residual, stretch.clone());
-        let spread = live::spread(&known.deviations, &experiment, stretch);
+        let of_changes = live::spread(&known.deviations, &experiment, stretch.clone());
+        let structure = self.models[0].model.structure();
+        let of_parameters = live::parameter_spread(structure, &self.covariance, &experiment, stretch);
+        let spread: Vec<f64> = of_changes.iter().zip(&of_parameters).map(|(one, other)| one.hypot(*other)).collect();
         // The preparation removes the same number at both ends.
         let cut = needed.saturating_sub(count) / 2;
         let begin = self.buffer[first].state.time + (cut + start) as f64 * self.period;

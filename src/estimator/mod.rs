@@ -258,8 +258,7 @@ fn identify(
     let text = with_progress_log("the identification", || results.identify())?;
     bar.done();
     if let (Some(live), Some((identified, run))) = (live.as_mut(), results.identified()) {
-        let floor = identified.identification.rms.noise_floor.clone().unwrap_or_default();
-        live.identified(&identified.model, &floor, &text, run)?;
+        live.identified(identified, &text, run)?;
     }
     match ask(id, Some(epoch), &Request::OfferModel { toml: text })? {
         None => Ok(None),

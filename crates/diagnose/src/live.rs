@@ -2,7 +2,8 @@
 //!
 //! The detector takes one short stretch of samples after the other: the mean square `m` of measured minus modelled torque in the band, joint by joint,
 //! relative to `u^2`, that of the motion that the model was identified from. For noise, `nu m / u^2` has about a chi-square distribution with `nu` degrees
-//! of freedom, which the stretches of that motion tell. The cumulative sum of the log likelihood ratios of a doubled error,
+//! of freedom, which the stretches of that motion tell by their scatter and their correlation. The cumulative sum of the log likelihood ratios of a
+//! doubled error,
 //!
 //!   S <- max(0, S + nu/2 (m/u^2 (1 - 1/r^2) - ln r^2)),   r = 2,
 //!
@@ -18,7 +19,8 @@ use super::reference::{self, Change};
 use nalgebra::DMatrix;
 use plumbline_core::symmetric_eigen;
 use plumbline_identify::Experiment;
-use plumbline_model::{ModelError, TorqueModel};
+use plumbline_model::term::Motion;
+use plumbline_model::{ModelError, Structure, TorqueModel};
 use std::ops::Range;
 
 /// Length of a stretch \[s\].
@@ -39,6 +41,8 @@ const IDENTIFIED_STRETCHES: f64 = 10.0;
 const FREEDOM: (f64, f64) = (1.0, 10.0 * STRETCH_S);
 /// Share of the estimated degrees of freedom that is relied on: some tens of stretches tell them to a fifth.
 const RELIED_ON: f64 = 0.75;
+/// Time between samples for which the spread of the parameters is computed \[s\]: it changes with the pose.
+const SPREAD_STEP_S: f64 = 0.05;
 /// Share of the search's window that is held out to accept the changes.
 const JUDGED_RATIO: f64 = 0.25;
 /// Largest error of the worst joint with the changes, as a share of the error without them, for a proposal.
@@ -110,13 +114,9 @@ impl Floor {
     /// From the RMS of stretches, per joint \[Nm\].
     pub fn from_stretches(stretches: &[Vec<f64>]) -> Floor {
         let (count, joints) = (stretches.len().max(1) as f64, stretches.first().map_or(0, Vec::len));
-        let mean = |power: i32, joint: usize| stretches.iter().map(|rms| rms[joint].powi(power)).sum::<f64>() / count;
-        let square: Vec<f64> = (0..joints).map(|joint| mean(2, joint)).collect();
-        let freedom = |(joint, square): (usize, &f64)| {
-            let variance = mean(4, joint) - square * square;
-            (RELIED_ON * 2.0 * square * square / variance.max(f64::MIN_POSITIVE)).clamp(FREEDOM.0, FREEDOM.1)
-        };
-        let freedom: Vec<f64> = square.iter().enumerate().map(freedom).collect();
+        let square = |joint: usize| stretches.iter().map(|rms| rms[joint].powi(2)).sum::<f64>() / count;
+        let square: Vec<f64> = (0..joints).map(square).collect();
+        let freedom = freedom(stretches, &square);
         let usual: Vec<f64> = square.iter().map(|square| square.sqrt()).collect();
         let limit = |(usual, freedom): (&f64, &f64)| {
             let (gain, cost) = (1.0 - LOST_RATIO.powi(-2), 2.0 * LOST_RATIO.ln());
@@ -137,6 +137,24 @@ impl Floor {
         let square = (rms / self.usual[joint].max(f64::MIN_POSITIVE)).powi(2) / UNSEEN_RATIO;
         0.5 * self.freedom[joint] * (square * (1.0 - LOST_RATIO.powi(-2)) - 2.0 * LOST_RATIO.ln())
     }
+}
+
+/// Degrees of freedom of the mean square of a stretch, per joint, for sums over stretches; `square` is the mean of that.
+fn freedom(stretches: &[Vec<f64>], square: &[f64]) -> Vec<f64> {
+    let apart = |k: usize, joint: usize| stretches[k][joint].powi(2) / square[joint] - 1.0;
+    let covariance = |lag: usize, joint: usize| {
+        let products = (lag..stretches.len()).map(|k| apart(k, joint) * apart(k - lag, joint));
+        products.sum::<f64>() / stretches.len() as f64
+    };
+    let variances: Vec<f64> = (0..square.len()).map(|joint| covariance(0, joint).max(f64::MIN_POSITIVE)).collect();
+    let of_all = |of: &dyn Fn(usize) -> f64| (0..square.len()).map(of).sum::<f64>() / square.len() as f64;
+    // In slow noise a stretch is like the one before, and their sums vary more.
+    let correlation = of_all(&|joint| covariance(1, joint) / variances[joint]).max(0.0);
+    let own = |variance: &f64| (RELIED_ON * 2.0 / (variance * (1.0 + 2.0 * correlation))).clamp(FREEDOM.0, FREEDOM.1);
+    let own: Vec<f64> = variances.iter().map(own).collect();
+    // Some tens of stretches tell little of one joint, and the others have noise of the same kind: halfway between.
+    let all = of_all(&|joint| own[joint].ln()).exp();
+    own.iter().map(|own| (own * all).sqrt()).collect()
 }
 
 /// RMS of measured minus modelled torque over each stretch of a motion without its ends, per joint \[Nm\].
@@ -417,6 +435,32 @@ pub fn spread(deviations: &[TorqueModel], experiment: &Experiment, samples: Rang
     squares.into_iter().map(f64::sqrt).collect()
 }
 
+/// Standard deviation of the torque of parameters with a covariance over some of a motion's samples, per joint \[Nm\].
+pub fn parameter_spread(
+    structure: &Structure,
+    covariance: &DMatrix<f64>,
+    experiment: &Experiment,
+    samples: Range<usize>,
+) -> Vec<f64> {
+    let motion = &experiment.motion;
+    let step = ((SPREAD_STEP_S / motion.dt) as usize).clamp(1, samples.len().max(1));
+    let part =
+        |values: &DMatrix<f64>| values.rows_with_step(samples.start, samples.len() / step, step - 1).into_owned();
+    let part = Motion {
+        dt: step as f64 * motion.dt,
+        q: part(&motion.q),
+        dq: part(&motion.dq),
+        ddq: part(&motion.ddq),
+        periodic: false,
+        ..motion.clone()
+    };
+    let rows = structure.regressor(&part);
+    let variances: Vec<f64> =
+        (&rows * covariance).row_iter().zip(rows.row_iter()).map(|(spread, row)| spread.dot(&row).max(0.0)).collect();
+    // Joint by joint.
+    variances.chunks(part.samples().max(1)).map(|own| (own.iter().sum::<f64>() / own.len() as f64).sqrt()).collect()
+}
+
 /// Whether a model predicts a motion with the usual errors: a watch over it would not be alarmed, and errors of the last `seconds` are nearer to the usual
 /// ones than to doubled ones. False where the motion has no stretch.
 pub fn holds(model: &TorqueModel, experiment: &Experiment, floor: &Floor, seconds: f64) -> bool {
@@ -478,6 +522,35 @@ mod tests {
     fn watch(rng: &mut ChaCha8Rng, freedom: usize) -> Watch {
         let seen: Vec<Vec<f64>> = (0..80).map(|_| stretch(rng, freedom, 0.02)).collect();
         Watch::new(Floor::from_stretches(&seen))
+    }
+
+    #[test]
+    fn degrees_of_freedom_are_those_of_sums_over_stretches() {
+        let mut rng = ChaCha8Rng::seed_from_u64(10);
+        let mut of = |means_of_two: bool| {
+            let mut last = stretch(&mut rng, 3, 0.02);
+            let mut next = |_| {
+                let new = stretch(&mut rng, 3, 0.02);
+                let mixed: Vec<f64> =
+                    new.iter().zip(&last).map(|(new, last)| (0.5 * (new * new + last * last)).sqrt()).collect();
+                last = new.clone();
+                if means_of_two { mixed } else { new }
+            };
+            Floor::from_stretches(&(0..2000).map(&mut next).collect::<Vec<_>>()).freedom
+        };
+        let within = |freedom: &[f64], expected: f64| {
+            assert!(freedom.iter().all(|own| (own / expected - 1.0).abs() < 0.1), "{freedom:?}, not {expected}")
+        };
+        within(&of(false), RELIED_ON * 3.0);
+        // Means of neighbours have twice the degrees of freedom, and their sums those of the stretches themselves.
+        within(&of(true), RELIED_ON * 3.0);
+        // Few stretches of one joint, drawn to those of all.
+        let scatter = |freedom: &[f64]| {
+            let (least, most) = freedom.iter().fold((f64::MAX, 0.0f64), |(a, b), own| (a.min(*own), b.max(*own)));
+            most / least
+        };
+        let few: Vec<Vec<f64>> = (0..30).map(|_| stretch(&mut rng, 3, 0.02)).collect();
+        assert!(scatter(&Floor::from_stretches(&few).freedom) < 1.8);
     }
 
     #[test]

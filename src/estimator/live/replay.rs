@@ -48,7 +48,7 @@ fn watch(folder: &Path, out: &Path) {
     let noise_floor = identified.identification.rms.noise_floor.clone().unwrap_or_default();
     let file = ModelFile {
         model: identified.model.clone(),
-        noise_floor: noise_floor.clone(),
+        noise_floor,
         validation: Vec::new(),
         uncertainty: None,
         consistent: None,
@@ -58,7 +58,7 @@ fn watch(folder: &Path, out: &Path) {
     let mut live = Live::new(&job, &robot, out).unwrap();
     // Recorded time runs ahead of the searches.
     live.wait_for_search = true;
-    live.identified(&identified.model, &noise_floor, &text, runs[0]).unwrap();
+    live.identified(&identified, &text, runs[0]).unwrap();
     let (mut model, mut next) = (model_identity(&text), None);
     for record in records(run, rate, robot.chain.len()) {
         if let Some((offered, _)) = next.take_if(|(_, at)| record.cycle >= *at) {

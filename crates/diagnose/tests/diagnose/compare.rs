@@ -245,3 +245,22 @@ fn sessions_tell_a_payload_without_a_stored_model() {
     // In one session it can't be seen.
     assert!(between_sessions(structure, &trials(&second, 2), &settings(), &|_| {}).effects.is_empty());
 }
+
+#[test]
+fn the_spread_of_parameters_is_that_of_the_torque() {
+    let model = stored();
+    let unseen = &record(&truth(""), true, 1, Mounting::WALL, 21)[0];
+    let samples = 1000..4000;
+    // Along one direction of the parameters the torque moves by its columns.
+    let values: Vec<f64> = model.beta();
+    let step: Vec<f64> = values.iter().enumerate().map(|(k, value)| 0.01 * (k as f64).sin() * value).collect();
+    let moved: Vec<(f64, Option<f64>)> = values.iter().zip(&step).map(|(value, step)| (value + step, None)).collect();
+    let moved = TorqueModel::new("panda", model.structure().clone(), vec![Mounting::WALL], &moved).unwrap();
+    let apart = live::rms(&(moved.predict(&unseen.motion) - model.predict(&unseen.motion)), samples.clone());
+    let step = nalgebra::DVector::from_vec(step);
+    let covariance = &step * step.transpose();
+    let spread = live::parameter_spread(model.structure(), &covariance, unseen, samples);
+    for (spread, apart) in spread.iter().zip(&apart) {
+        assert!((spread / apart - 1.0).abs() < 0.02, "{spread} and {apart}");
+    }
+}
