@@ -46,8 +46,10 @@ def seen(log, at, end, before, expected):
         return len(effects) == 1 and effects[0]["id"] in expected["families"] and (not expected["joints"] or effects[0]["joints"] == expected["joints"])
     named_at = proposed[0]["t"] if proposed else math.inf
     off = None
-    if expected and "mass" in expected["parameters"] and proposed and right(proposed[-1]):
-        payload, true = proposed[-1]["effects"][0], expected["parameters"]["mass"]
+    payload = proposed[-1]["effects"][0] if proposed and proposed[-1]["effects"] else None
+    # Another effect may be the same torque.
+    if expected and payload and right(proposed[-1]) and "mass" in expected["parameters"] and "mass" in payload["parameters"]:
+        true = expected["parameters"]["mass"]
         off = [(payload["parameters"]["mass"] - true) / payload["std"]["mass"], payload["parameters"]["mass"] / true - 1]
     return {
         "kind": expected["kind"] if expected else "gone", "ratio": expected["ratio"] if expected else None,
