@@ -1,6 +1,6 @@
-//! The live watch: detects when the served model no longer predicts the torques, and searches for what changed.
+//! The detector: whether the served model still predicts the torques.
 //!
-//! The detector takes one short stretch of samples after the other: the mean square `m` of measured minus modelled torque in the band, joint by joint,
+//! It takes one short stretch of samples after the other: the mean square `m` of measured minus modelled torque in the band, joint by joint,
 //! relative to `u^2`, that of the motion that the model was identified from. For noise, `nu m / u^2` has about a chi-square distribution with `nu` degrees
 //! of freedom, which the stretches of that motion tell by their scatter and their correlation. The cumulative sum of the log likelihood ratios of a
 //! doubled error,
@@ -9,28 +9,13 @@
 //!
 //! is an alarm at `S > h`. The mean time between false alarms of one joint is at least `e^h` stretches (Page, Biometrika 41, 1954; Lorden, Annals of
 //! Mathematical Statistics 42, 1971); `h` is set for one in [`FALSE_ALARM_S`]. The same sum of the reverse ratio says that the model holds again.
-//!
-//! The search of [`mod@super::reference`] goes over all samples since the change, again whenever there are twice as many; the last part of them takes no
-//! part in the search and judges what was found.
 
-use super::evidence::Trial;
-use super::input::Settings;
-use super::reference::{self, Change};
-use nalgebra::DMatrix;
-use plumbline_core::symmetric_eigen;
+use super::{LOST_RATIO, STRETCH_S, stretches};
 use plumbline_identify::Experiment;
-use plumbline_model::term::Motion;
-use plumbline_model::{ModelError, Structure, TorqueModel};
-use std::ops::Range;
+use plumbline_model::TorqueModel;
 
-/// Length of a stretch \[s\].
-pub const STRETCH_S: f64 = 0.5;
-/// Time excluded at both ends of a motion because of the filters \[s\].
-pub const END_MARGIN_S: f64 = 0.4;
 /// Time between two false alarms, on average, at least \[s\].
 const FALSE_ALARM_S: f64 = 10.0 * 3600.0;
-/// Error that is looked for, as a ratio to the usual one.
-const LOST_RATIO: f64 = 2.0;
 /// Mean square on a motion that was not identified from, as a ratio to that of the identification: errors of the parameters show there.
 const UNSEEN_RATIO: f64 = 1.3;
 /// Mean square that becomes usual on the motions that are watched, at most, as a ratio to that of the identification.
@@ -41,18 +26,6 @@ const IDENTIFIED_STRETCHES: f64 = 10.0;
 const FREEDOM: (f64, f64) = (1.0, 10.0 * STRETCH_S);
 /// Share of the estimated degrees of freedom that is relied on: some tens of stretches tell them to a fifth.
 const RELIED_ON: f64 = 0.75;
-/// Time between samples for which the spread of the parameters is computed \[s\]: it changes with the pose.
-const SPREAD_STEP_S: f64 = 0.05;
-/// Share of the search's window that is held out to accept the changes.
-const JUDGED_RATIO: f64 = 0.25;
-/// Largest error of the worst joint with the changes, as a share of the error without them, for a proposal.
-const MAX_REMAINING_RATIO: f64 = 0.8;
-/// Joints whose error is above this share of the worst joint's, both as ratios to the usual, tell when a change came.
-const CONCERNED_RATIO: f64 = 0.5;
-/// A change that grows is followed back to its begin in at most so many steps.
-const MAX_ONSET_STEPS: usize = 10;
-/// Largest error of a refined model on the held-out samples, as a ratio to that of the served one.
-const MAX_REFINED_RATIO: f64 = 1.02;
 
 /// Error in the band, per joint.
 #[derive(Clone, Debug, PartialEq)]
@@ -157,16 +130,6 @@ fn freedom(stretches: &[Vec<f64>], square: &[f64]) -> Vec<f64> {
     own.iter().map(|own| (own * all).sqrt()).collect()
 }
 
-/// RMS of measured minus modelled torque over each stretch of a motion without its ends, per joint \[Nm\].
-fn stretches(model: &TorqueModel, experiment: &Experiment) -> Vec<Vec<f64>> {
-    let residual = residual(model, experiment);
-    let inside = inside(experiment);
-    let stretch = ((STRETCH_S / experiment.motion.dt) as usize).clamp(1, inside.len().max(1));
-    // The last samples count most.
-    let begin = inside.start + inside.len() % stretch;
-    (begin..inside.end).step_by(stretch).map(|first| rms(&residual, first..first + stretch)).collect()
-}
-
 /// Sum of log likelihood ratios that is an alarm.
 fn threshold(joints: usize) -> f64 {
     (joints.max(1) as f64 * FALSE_ALARM_S / STRETCH_S).ln()
@@ -237,7 +200,7 @@ impl Watch {
     }
 
     /// Nothing explains the error since the model was lost, which has this RMS per joint \[Nm\]: another change is looked for beside it.
-    pub fn accept(&mut self, rms: &[f64]) {
+    pub fn set_unexplained(&mut self, rms: &[f64]) {
         if self.lost.is_none() {
             return;
         }
@@ -250,7 +213,7 @@ impl Watch {
     }
 
     /// Another change than the unexplained one has been found: under the model with it, that one is still there.
-    pub fn go_on(&mut self) {
+    pub fn look_beside_again(&mut self) {
         self.sums.fill((0.0, 0.0));
         let anew = vec![(0.0, 0.0); self.sums.len()];
         self.beside.iter_mut().for_each(|(_, sums)| *sums = Some(anew.clone()));
@@ -266,11 +229,6 @@ impl Watch {
             let mean = (*sum + IDENTIFIED_STRETCHES * identified) / (*count + IDENTIFIED_STRETCHES);
             self.floor.set_usual(joint, mean.max(identified).sqrt());
         }
-    }
-
-    /// When the model stopped to hold, while it does not \[s\].
-    pub fn lost_since(&self) -> Option<f64> {
-        self.lost
     }
 
     /// Starts anew, under another model.
@@ -299,168 +257,6 @@ fn alarm(sums: &Sums, floor: &Floor, rms: &[f64]) -> Option<News> {
     Some(News::Lost { since, joint: worst, rms: rms[worst], floor: floor.usual[worst] })
 }
 
-/// Sample at which a change came, in a residual that has it at its end. `usual` is the RMS without it, `local` a number of samples: what a change does
-/// may grow with the motion, so what is found is looked for again in what ends so much later, until it comes no earlier.
-pub fn onset(residual: &DMatrix<f64>, usual: &[f64], local: usize) -> usize {
-    let mut at = begin(residual, usual, residual.nrows() / 4);
-    for _ in 0..MAX_ONSET_STEPS {
-        let end = (at + local).min(residual.nrows());
-        let earlier = begin(&residual.rows(0, end).into_owned(), usual, local);
-        if earlier >= at {
-            break;
-        }
-        at = earlier;
-    }
-    at
-}
-
-/// The sample from which on most of the square, less half of what it is in the `last` samples, adds up, in the joint where that is largest; or in the
-/// first of those that are nearly as far above the usual, if more than so many samples lie between.
-fn begin(residual: &DMatrix<f64>, usual: &[f64], last: usize) -> usize {
-    let count = residual.nrows();
-    let end = rms(residual, count.saturating_sub(last.max(1))..count);
-    let over = |joint: &usize| end[*joint] / usual[*joint].max(f64::MIN_POSITIVE);
-    let begins = |joint: usize| begin_in(residual, usual, joint, end[joint]);
-    let Some(worst) = (0..end.len()).max_by(|a, b| over(a).total_cmp(&over(b))) else { return 0 };
-    let concerned = |joint: &usize| over(joint) >= CONCERNED_RATIO * over(&worst);
-    let own = begins(worst);
-    (0..end.len()).filter(concerned).map(begins).filter(|begin| begin + last < own).min().unwrap_or(own)
-}
-
-fn begin_in(residual: &DMatrix<f64>, usual: &[f64], joint: usize, end: f64) -> usize {
-    // The low-pass spreads a step over both sides: half of it is at the step.
-    let level = (0.25 * end.powi(2)).max(LOST_RATIO * usual[joint].powi(2));
-    let (mut sum, mut best) = (0.0, (0.0, residual.nrows().saturating_sub(1)));
-    for k in (0..residual.nrows()).rev() {
-        sum += residual[(k, joint)].powi(2).min(4.0 * level) - level;
-        if sum > best.0 {
-            best = (sum, k);
-        }
-    }
-    best.1
-}
-
-/// Changes that were found, and the model with them.
-#[derive(Clone, Debug)]
-pub struct Remedy {
-    /// The changes.
-    pub changes: Vec<Change>,
-    /// The model with them.
-    pub model: TorqueModel,
-    /// RMS per joint in the band on the samples that took no part, of the served model \[Nm\].
-    pub before: Vec<f64>,
-    /// The same of the model with the changes \[Nm\].
-    pub after: Vec<f64>,
-    /// How well the changes are known: one model for each independent direction of their parameters, with one standard deviation of them and nothing else.
-    /// The squares of these models' torques add up to the variance of the torque.
-    pub deviations: Vec<TorqueModel>,
-}
-
-/// What a search ended with.
-#[derive(Clone, Debug)]
-pub enum Found {
-    /// Something that lowers the error.
-    Remedy(Box<Remedy>),
-    /// Nothing that does: how many changes were tried, and the error per joint \[Nm\].
-    Nothing {
-        /// Effects that were found but do not lower the held-out error.
-        tried: usize,
-        /// RMS per joint in the band of the served model \[Nm\].
-        before: Vec<f64>,
-    },
-}
-
-/// Searches the time since a model was lost. `find` and `judge` are two motions of it, prepared alike. `served` is the model that is served now: the
-/// lost one, or one with changes from fewer samples, which then are refined. `floor` is what the lost model's errors were before. One change with which
-/// they are so again is more likely than several.
-pub fn search(
-    lost: &TorqueModel,
-    served: &TorqueModel,
-    find: &Experiment,
-    judge: &Experiment,
-    floor: &Floor,
-    settings: &Settings,
-) -> Found {
-    let trials = [Trial::alone(find)];
-    let with = |changes: Vec<Change>| reference::extended(lost, &changes).ok().map(|model| (changes, model));
-    let usual = |motion: &Experiment, model: &TorqueModel| holds(model, motion, floor, 0.0);
-    let explains = |(_, model): &(Vec<Change>, TorqueModel)| usual(find, model) && usual(judge, model);
-    let mut alone =
-        reference::single_changes(lost, &trials, settings).into_iter().filter_map(|change| with(vec![change]));
-    // What alone would not double the error is not named beside others.
-    let least = |usual: &f64| (LOST_RATIO * LOST_RATIO - 1.0).sqrt() * usual;
-    let seen = Settings { usual: floor.usual.iter().map(least).collect(), ..settings.clone() };
-    let several = || with(reference::changes(lost, &trials, &seen, &|_| {}).effects);
-    let error = |model: &TorqueModel| rms(&residual(model, judge), inside(judge));
-    let (before, now) = (error(lost), error(served));
-    let Some((effects, extended)) = alone.find(explains).or_else(several) else {
-        return Found::Nothing { tried: 0, before: now };
-    };
-    let after = error(&extended);
-    let worst = |rms: &[f64]| rms.iter().copied().fold(0.0, f64::max);
-    let enough = (MAX_REMAINING_RATIO * worst(&before)).min(MAX_REFINED_RATIO * worst(&now));
-    if effects.is_empty() || worst(&after) > enough {
-        return Found::Nothing { tried: effects.len(), before: now };
-    }
-    let deviations = deviations(lost, &effects, &extended).unwrap_or_default();
-    Found::Remedy(Box::new(Remedy { changes: effects, model: extended, before, after, deviations }))
-}
-
-/// [`Remedy::deviations`] of a model that `lost` is extended to.
-fn deviations(lost: &TorqueModel, changes: &[Change], extended: &TorqueModel) -> Result<Vec<TorqueModel>, ModelError> {
-    let mut found = Vec::new();
-    for (which, change) in changes.iter().enumerate() {
-        let Some(eigen) = symmetric_eigen(change.covariance.clone()) else { continue };
-        for (variance, direction) in eigen.eigenvalues.iter().zip(eigen.eigenvectors.column_iter()) {
-            let mut moved = changes.to_vec();
-            let parameters = moved[which].parameters.iter_mut().zip(direction.iter());
-            parameters.for_each(|(own, share)| own.value += variance.max(0.0).sqrt() * share);
-            let moved = reference::extended(lost, &moved)?.beta();
-            let values: Vec<(f64, Option<f64>)> =
-                moved.iter().zip(extended.beta()).map(|(moved, own)| (moved - own, None)).collect();
-            let (structure, mountings) = (extended.structure().clone(), extended.mountings().to_vec());
-            found.push(TorqueModel::new(extended.robot(), structure, mountings, &values)?);
-        }
-    }
-    Ok(found)
-}
-
-/// Standard deviation of a model's torque in the band over some of a motion's samples, per joint \[Nm\]: [`Remedy::deviations`].
-pub fn spread(deviations: &[TorqueModel], experiment: &Experiment, samples: Range<usize>) -> Vec<f64> {
-    let mut squares = vec![0.0; experiment.motion.joints()];
-    for model in deviations {
-        let torque = in_band(experiment, &model.predict(&experiment.motion));
-        squares.iter_mut().zip(rms(&torque, samples.clone())).for_each(|(sum, rms)| *sum += rms * rms);
-    }
-    squares.into_iter().map(f64::sqrt).collect()
-}
-
-/// Standard deviation of the torque of parameters with a covariance over some of a motion's samples, per joint \[Nm\].
-pub fn parameter_spread(
-    structure: &Structure,
-    covariance: &DMatrix<f64>,
-    experiment: &Experiment,
-    samples: Range<usize>,
-) -> Vec<f64> {
-    let motion = &experiment.motion;
-    let step = ((SPREAD_STEP_S / motion.dt) as usize).clamp(1, samples.len().max(1));
-    let part =
-        |values: &DMatrix<f64>| values.rows_with_step(samples.start, samples.len() / step, step - 1).into_owned();
-    let part = Motion {
-        dt: step as f64 * motion.dt,
-        q: part(&motion.q),
-        dq: part(&motion.dq),
-        ddq: part(&motion.ddq),
-        periodic: false,
-        ..motion.clone()
-    };
-    let rows = structure.regressor(&part);
-    let variances: Vec<f64> =
-        (&rows * covariance).row_iter().zip(rows.row_iter()).map(|(spread, row)| spread.dot(&row).max(0.0)).collect();
-    // Joint by joint.
-    variances.chunks(part.samples().max(1)).map(|own| (own.iter().sum::<f64>() / own.len() as f64).sqrt()).collect()
-}
-
 /// Whether a model predicts a motion with the usual errors: a watch over it would not be alarmed, and errors of the last `seconds` are nearer to the usual
 /// ones than to doubled ones. False where the motion has no stretch.
 pub fn holds(model: &TorqueModel, experiment: &Experiment, floor: &Floor, seconds: f64) -> bool {
@@ -472,35 +268,6 @@ pub fn holds(model: &TorqueModel, experiment: &Experiment, floor: &Floor, second
     !stretches.is_empty()
         && stretches.iter().enumerate().all(&mut quiet)
         && (0..floor.usual.len()).all(|joint| ratio(joint) <= 0.0)
-}
-
-/// Sample that divides a window into the part to search and the held-out part.
-pub fn divide(samples: usize) -> usize {
-    ((1.0 - JUDGED_RATIO) * samples as f64) as usize
-}
-
-/// Measured minus modelled torque in the band, N x n \[Nm\].
-pub fn residual(model: &TorqueModel, experiment: &Experiment) -> DMatrix<f64> {
-    in_band(experiment, &(&experiment.tau - model.predict(&experiment.motion)))
-}
-
-fn in_band(experiment: &Experiment, torque: &DMatrix<f64>) -> DMatrix<f64> {
-    let stacked = DMatrix::from_column_slice(torque.len(), 1, torque.as_slice());
-    DMatrix::from_column_slice(torque.nrows(), torque.ncols(), experiment.filter(&stacked).as_slice())
-}
-
-/// Samples without the ends.
-fn inside(experiment: &Experiment) -> Range<usize> {
-    let samples = experiment.motion.samples();
-    let ends = ((END_MARGIN_S / experiment.motion.dt) as usize).min(samples / 3);
-    ends..samples - ends
-}
-
-/// RMS per joint over some of the samples \[Nm\].
-pub fn rms(residual: &DMatrix<f64>, samples: Range<usize>) -> Vec<f64> {
-    let count = samples.len().max(1) as f64;
-    let part = residual.rows(samples.start, samples.len());
-    part.column_iter().map(|column| (column.norm_squared() / count).sqrt()).collect()
 }
 
 #[cfg(test)]
@@ -524,32 +291,36 @@ mod tests {
         Watch::new(Floor::from_stretches(&seen))
     }
 
+    /// Stretches of slow noise: each has half of its mean square in common with the one before.
+    fn slow(rng: &mut ChaCha8Rng, freedom: usize, size: f64) -> impl Iterator<Item = Vec<f64>> + '_ {
+        let mut last = stretch(rng, freedom, size);
+        std::iter::repeat_with(move || {
+            let new = stretch(rng, freedom, size);
+            let mean = |(new, last): (&f64, &f64)| (0.5 * (new * new + last * last)).sqrt();
+            let mixed = new.iter().zip(&last).map(mean).collect();
+            last = new;
+            mixed
+        })
+    }
+
     #[test]
     fn degrees_of_freedom_are_those_of_sums_over_stretches() {
-        let mut rng = ChaCha8Rng::seed_from_u64(10);
-        let mut of = |means_of_two: bool| {
-            let mut last = stretch(&mut rng, 3, 0.02);
-            let mut next = |_| {
-                let new = stretch(&mut rng, 3, 0.02);
-                let mixed: Vec<f64> =
-                    new.iter().zip(&last).map(|(new, last)| (0.5 * (new * new + last * last)).sqrt()).collect();
-                last = new.clone();
-                if means_of_two { mixed } else { new }
-            };
-            Floor::from_stretches(&(0..2000).map(&mut next).collect::<Vec<_>>()).freedom
-        };
-        let within = |freedom: &[f64], expected: f64| {
+        let rng = &mut ChaCha8Rng::seed_from_u64(10);
+        let within = |stretches: &[Vec<f64>], expected: f64| {
+            let freedom = Floor::from_stretches(stretches).freedom;
             assert!(freedom.iter().all(|own| (own / expected - 1.0).abs() < 0.1), "{freedom:?}, not {expected}")
         };
-        within(&of(false), RELIED_ON * 3.0);
-        // Means of neighbours have twice the degrees of freedom, and their sums those of the stretches themselves.
-        within(&of(true), RELIED_ON * 3.0);
+        let white: Vec<Vec<f64>> = (0..2000).map(|_| stretch(rng, 3, 0.02)).collect();
+        within(&white, RELIED_ON * 3.0);
+        // Each has twice as many, and sums of them as many.
+        let slow: Vec<Vec<f64>> = slow(rng, 3, 0.02).take(2000).collect();
+        within(&slow, RELIED_ON * 3.0);
         // Few stretches of one joint, drawn to those of all.
         let scatter = |freedom: &[f64]| {
             let (least, most) = freedom.iter().fold((f64::MAX, 0.0f64), |(a, b), own| (a.min(*own), b.max(*own)));
             most / least
         };
-        let few: Vec<Vec<f64>> = (0..30).map(|_| stretch(&mut rng, 3, 0.02)).collect();
+        let few: Vec<Vec<f64>> = (0..30).map(|_| stretch(rng, 3, 0.02)).collect();
         assert!(scatter(&Floor::from_stretches(&few).freedom) < 1.8);
     }
 
@@ -574,6 +345,23 @@ mod tests {
     }
 
     #[test]
+    fn a_hundred_hours_of_slow_noise_are_at_most_ten_alarms() {
+        let rng = &mut ChaCha8Rng::seed_from_u64(11);
+        let mut alarms = 0;
+        for _ in 0..20 {
+            // Identified from 24 s, as many recordings are.
+            let seen: Vec<Vec<f64>> = slow(rng, 2, 0.02).take(48).collect();
+            let mut watch = Watch::new(Floor::from_stretches(&seen));
+            for (k, rms) in slow(rng, 2, 0.022).take(36_000).enumerate() {
+                let news = watch.look(k as f64 * STRETCH_S, &rms);
+                alarms += usize::from(news.is_some_and(|news| matches!(news, News::Lost { .. })));
+            }
+        }
+        println!("{alarms} alarms in 100 h");
+        assert!(alarms <= 10, "{alarms} alarms in 100 h");
+    }
+
+    #[test]
     fn a_large_error_is_an_alarm_at_once_and_a_doubled_one_in_seconds() {
         let mut rng = ChaCha8Rng::seed_from_u64(2);
         for (size, stretches) in [(0.5, 1), (0.08, 4), (0.05, 24)] {
@@ -592,14 +380,14 @@ mod tests {
                 };
                 let News::Lost { since, joint, floor, .. } = news else { panic!("{news:?}") };
                 assert!(needed <= stretches && joint == 3 && (floor - 0.02).abs() < 0.01, "{news:?} after {needed}");
-                assert!((since - 50.0).abs() <= 0.5 * needed as f64 && watch.lost_since() == Some(since), "{news:?}");
+                assert!((since - 50.0).abs() <= 0.5 * needed as f64 && watch.lost == Some(since), "{news:?}");
                 // Reported once; it holds again after some seconds, and once.
                 let mut again = 0;
                 for k in 0..200 {
                     let rms = stretch(&mut rng, 5, if k < 40 { 0.1 } else { 0.02 });
                     match watch.look(100.0 + 0.5 * k as f64, &rms) {
                         Some(News::Holds { since }) => {
-                            assert!(k >= 42 && since >= 119.0 && watch.lost_since().is_none(), "{k} {since}");
+                            assert!(k >= 42 && since >= 119.0 && watch.lost.is_none(), "{k} {since}");
                             again += 1;
                         }
                         other => assert_eq!(other, None),
@@ -613,9 +401,9 @@ mod tests {
     #[test]
     fn another_model_starts_anew() {
         let mut watch = watch(&mut ChaCha8Rng::seed_from_u64(3), 5);
-        assert!(watch.look(0.0, &[1.0; JOINTS]).is_some() && watch.lost_since().is_some());
+        assert!(watch.look(0.0, &[1.0; JOINTS]).is_some() && watch.lost.is_some());
         watch.reset();
-        assert_eq!((watch.lost_since(), watch.look(2.0, &[0.01; JOINTS])), (None, None));
+        assert_eq!((watch.lost, watch.look(2.0, &[0.01; JOINTS])), (None, None));
     }
 
     #[test]
@@ -661,67 +449,15 @@ mod tests {
         assert!(matches!(look(&mut watch, [0.1, 0.02])[..], [(0..3, News::Lost { joint: 2, .. })]));
         // Nothing is new before it is known that nothing explains it.
         assert_eq!(look(&mut watch, [0.1, 0.3]), []);
-        watch.accept(&[0.02, 0.02, 0.1, 0.02, 0.02, 0.02, 0.02]);
+        watch.set_unexplained(&[0.02, 0.02, 0.1, 0.02, 0.02, 0.02, 0.02]);
         assert_eq!(look(&mut watch, [0.1, 0.02]), []);
         let usual = (watch.usual().usual[2], watch.floor().usual[2]);
         assert!(usual.0 < 0.05 && usual.1 == 0.1, "{usual:?}");
         assert!(matches!(look(&mut watch, [0.1, 0.3])[..], [(0..3, News::Lost { joint: 4, .. })]));
         // The other change is in the model that is served now.
-        watch.go_on();
+        watch.look_beside_again();
         assert_eq!(look(&mut watch, [0.1, 0.02]), []);
         assert!(matches!(look(&mut watch, [0.02, 0.02])[..], [(_, News::Holds { .. })]));
-        assert_eq!((watch.lost_since(), watch.floor() == watch.usual()), (None, true));
-    }
-
-    #[test]
-    fn a_change_is_dated_by_the_first_joint_that_it_concerns() {
-        let mut rng = ChaCha8Rng::seed_from_u64(9);
-        let residual = DMatrix::from_fn(2000, 3, |k, joint| {
-            let noise = 0.02 * rng.sample::<f64, _>(StandardNormal);
-            // The last is worse than usual all the time.
-            noise * if joint == 2 { 1.8 } else { 1.0 }
-                + if k >= [900, 1300, 2000][joint] { [0.4, 0.5, 0.0][joint] } else { 0.0 }
-        });
-        let found = onset(&residual, &[0.02; 3], 250);
-        assert!(found.abs_diff(900) <= 5, "{found}");
-    }
-
-    #[test]
-    fn a_change_that_grows_is_dated_to_its_begin() {
-        let mut rng = ChaCha8Rng::seed_from_u64(6);
-        for at in [900, 1300] {
-            // A tenth of what it is at the end, from the first sample on.
-            let value = |k: usize| if k < at { 0.0 } else { 0.2 + 1.8 * (k - at) as f64 / (2000 - at) as f64 };
-            let residual = DMatrix::from_fn(2000, 1, |k, _| 0.02 * rng.sample::<f64, _>(StandardNormal) + value(k));
-            let found = onset(&residual, &[0.02], 250);
-            assert!(found.abs_diff(at) <= 100, "{found}, not {at}");
-            assert!(begin(&residual, &[0.02], 500) > at + 150, "once is not enough");
-        }
-    }
-
-    #[test]
-    fn the_onset_is_where_the_residual_begins() {
-        let mut rng = ChaCha8Rng::seed_from_u64(4);
-        for size in [0.08, 0.5, 5.0] {
-            for at in [300, 1200, 1700] {
-                // A step of a swinging torque, after a low-pass of 0.1 s.
-                let value = |k: usize| {
-                    let rise = (0.5 + (k as f64 - at as f64) / 100.0).clamp(0.0, 1.0);
-                    rise * size * (1.0 + 0.5 * (k as f64 * 0.006).sin())
-                };
-                let residual = DMatrix::from_fn(2000, 2, |k, j| {
-                    0.02 * rng.sample::<f64, _>(StandardNormal) + if j == 1 { value(k) } else { 0.0 }
-                });
-                let found = onset(&residual, &[0.02, 0.02], 250);
-                assert!(found.abs_diff(at) <= 60, "{size}: {found}, not {at}");
-            }
-        }
-    }
-
-    #[test]
-    fn a_window_leaves_a_quarter_to_judge_by() {
-        assert_eq!(divide(10_000), 7_500);
-        let residual = DMatrix::from_row_slice(4, 1, &[1.0, 3.0, 3.0, 3.0]);
-        assert_eq!(rms(&residual, 1..4), [3.0]);
+        assert_eq!((watch.lost, watch.floor() == watch.usual()), (None, true));
     }
 }

@@ -1,0 +1,124 @@
+//! What changed: the search since a model was lost.
+//!
+//! The search of [`mod@crate::reference`] goes over all samples since the change, again whenever there are twice as many; the last part of them takes no
+//! part in the search and judges what was found.
+
+use super::watch::{Floor, holds};
+use super::{LOST_RATIO, inside, residual, rms};
+use crate::evidence::Trial;
+use crate::input::Settings;
+use crate::reference::{self, Change};
+use plumbline_core::symmetric_eigen;
+use plumbline_identify::Experiment;
+use plumbline_model::{ModelError, TorqueModel};
+
+/// Share of the search's window that is held out to accept the changes.
+const JUDGED_RATIO: f64 = 0.25;
+/// Largest error of the worst joint with the changes, as a share of the error without them, for a proposal.
+const MAX_REMAINING_RATIO: f64 = 0.8;
+/// Largest error of a refined model on the held-out samples, as a ratio to that of the served one.
+const MAX_REFINED_RATIO: f64 = 1.02;
+
+/// Changes that were found, and the model with them.
+#[derive(Clone, Debug)]
+pub struct Remedy {
+    /// The changes.
+    pub changes: Vec<Change>,
+    /// The model with them.
+    pub model: TorqueModel,
+    /// RMS per joint in the band on the samples that took no part, of the served model \[Nm\].
+    pub before: Vec<f64>,
+    /// The same of the model with the changes \[Nm\].
+    pub after: Vec<f64>,
+    /// How well the changes are known: one model for each independent direction of their parameters, with one standard deviation of them and nothing else.
+    /// The squares of these models' torques add up to the variance of the torque.
+    pub deviations: Vec<TorqueModel>,
+}
+
+/// What a search ended with.
+#[derive(Clone, Debug)]
+pub enum Found {
+    /// Something that lowers the error.
+    Remedy(Box<Remedy>),
+    /// Nothing that does: how many changes were tried, and the error per joint \[Nm\].
+    Nothing {
+        /// Effects that were found but do not lower the held-out error.
+        tried: usize,
+        /// RMS per joint in the band of the served model \[Nm\].
+        before: Vec<f64>,
+    },
+}
+
+/// Searches the time since a model was lost. `find` and `judge` are two motions of it, prepared alike. `served` is the model that is served now: the
+/// lost one, or one with changes from fewer samples, which then are refined. `floor` is what the lost model's errors were before. One change with which
+/// they are so again is more likely than several.
+pub fn search(
+    lost: &TorqueModel,
+    served: &TorqueModel,
+    find: &Experiment,
+    judge: &Experiment,
+    floor: &Floor,
+    settings: &Settings,
+) -> Found {
+    let trials = [Trial::alone(find)];
+    let with = |changes: Vec<Change>| reference::extended(lost, &changes).ok().map(|model| (changes, model));
+    let usual = |motion: &Experiment, model: &TorqueModel| holds(model, motion, floor, 0.0);
+    let explains = |(_, model): &(Vec<Change>, TorqueModel)| usual(find, model) && usual(judge, model);
+    let mut alone =
+        reference::single_changes(lost, &trials, settings).into_iter().filter_map(|change| with(vec![change]));
+    // What alone would not double the error is not named beside others.
+    let least = |usual: &f64| (LOST_RATIO * LOST_RATIO - 1.0).sqrt() * usual;
+    let seen = Settings { usual: floor.usual.iter().map(least).collect(), ..settings.clone() };
+    let several = || with(reference::changes(lost, &trials, &seen, &|_| {}).effects);
+    let error = |model: &TorqueModel| rms(&residual(model, judge), inside(judge));
+    let (before, now) = (error(lost), error(served));
+    let Some((effects, extended)) = alone.find(explains).or_else(several) else {
+        return Found::Nothing { tried: 0, before: now };
+    };
+    let after = error(&extended);
+    let worst = |rms: &[f64]| rms.iter().copied().fold(0.0, f64::max);
+    let enough = (MAX_REMAINING_RATIO * worst(&before)).min(MAX_REFINED_RATIO * worst(&now));
+    if effects.is_empty() || worst(&after) > enough {
+        return Found::Nothing { tried: effects.len(), before: now };
+    }
+    let deviations = deviations(lost, &effects, &extended).unwrap_or_default();
+    Found::Remedy(Box::new(Remedy { changes: effects, model: extended, before, after, deviations }))
+}
+
+/// [`Remedy::deviations`] of a model that `lost` is extended to.
+fn deviations(lost: &TorqueModel, changes: &[Change], extended: &TorqueModel) -> Result<Vec<TorqueModel>, ModelError> {
+    let mut found = Vec::new();
+    for (which, change) in changes.iter().enumerate() {
+        let Some(eigen) = symmetric_eigen(change.covariance.clone()) else { continue };
+        for (variance, direction) in eigen.eigenvalues.iter().zip(eigen.eigenvectors.column_iter()) {
+            let mut moved = changes.to_vec();
+            let parameters = moved[which].parameters.iter_mut().zip(direction.iter());
+            parameters.for_each(|(own, share)| own.value += variance.max(0.0).sqrt() * share);
+            let moved = reference::extended(lost, &moved)?.beta();
+            let values: Vec<(f64, Option<f64>)> =
+                moved.iter().zip(extended.beta()).map(|(moved, own)| (moved - own, None)).collect();
+            let (structure, mountings) = (extended.structure().clone(), extended.mountings().to_vec());
+            found.push(TorqueModel::new(extended.robot(), structure, mountings, &values)?);
+        }
+    }
+    Ok(found)
+}
+
+/// Sample that divides a window into the part to search and the held-out part.
+pub fn divide(samples: usize) -> usize {
+    ((1.0 - JUDGED_RATIO) * samples as f64) as usize
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::rms;
+    use super::divide;
+    use nalgebra::DMatrix;
+
+    #[test]
+    fn a_window_leaves_a_quarter_to_judge_by() {
+        assert_eq!(divide(10_000), 7_500);
+        let residual = DMatrix::from_row_slice(4, 1, &[1.0, 3.0, 3.0, 3.0]);
+        assert_eq!(rms(&residual, 1..4), [3.0]);
+    }
+}
