@@ -4,7 +4,7 @@
 #   hil/long-tests/run.sh [--all] [NAME...]       (parts of their names; all that are marked with this file)
 #
 # With --all also those that are marked so, and the effect that is added by the recipe in CONTRIBUTING.md: more than .ci/run has time for.
-# Exit code 0 when each of them has run and passed. They take three minutes on two processors, all of them ten.
+# Exit code 0 when each of them has run and passed. They take minutes.
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 mark='hil/long-tests/run.sh"'
