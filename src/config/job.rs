@@ -345,7 +345,7 @@ pub struct Safety {
     /// Largest distance of a joint from its desired position \[rad\].
     #[serde(with = "units::Angle")]
     pub tracking_error: f64,
-    /// Maximum number of states lost in a row. A Franka stops by itself, and more abruptly, after 20 missing commands; half of that leaves time for
+    /// Maximum number of states lost in a row while the arm moves. A Franka stops by itself, and more abruptly, after 20 missing commands; half of that leaves time for
     /// a controlled stop.
     pub max_lost: u32,
     /// Action if the estimator is lost during a motion.

@@ -317,7 +317,8 @@ impl<B: Backend, S: Sink> Cycle<B, S> {
             self.emit(Event::Resumed);
         }
         let lost = gap.saturating_sub(1);
-        if lost > self.max_lost {
+        // At rest the arm holds: without a reference that it could miss, there is nothing to stop.
+        if lost > self.max_lost && !self.motion.is_holding() {
             self.brake(StopReason::LostStates { lost }, gap)?;
         }
         self.check_heartbeat(gap)?;

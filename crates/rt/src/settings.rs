@@ -12,7 +12,7 @@ pub struct CycleSettings {
     pub guard: GuardSettings,
     /// Share of the limits that point-to-point motions and the stop use.
     pub moves: MoveFactors,
-    /// Longest run of lost states after which a motion continues.
+    /// Longest run of lost states after which a motion continues. An arm at rest holds after any.
     pub max_consecutive_lost: u64,
     /// Cycles of the arm without a [heartbeat](super::controls::Controls::heartbeat) after which a moving
     /// arm is braked; `None` where no supervisor is required.

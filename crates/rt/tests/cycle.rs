@@ -202,6 +202,18 @@ fn too_many_lost_states_stop_the_motion() {
 }
 
 #[test]
+fn an_arm_at_rest_holds_however_many_states_are_lost_and_its_next_motion_starts() {
+    let run = Job::new(3_000)
+        .order(dwell(1, 100))
+        .disturb(300, Disturbance::Lose(400))
+        .outside(500, |h| assert!(h.orders.give(follow(2, Wave::gentle())).is_ok()))
+        .run();
+    run.assert_sound();
+    assert_eq!((run.outcome.stops, run.outcome.summary.longest_lost), (0, 400));
+    assert_eq!(run.events.last(), Some(&Event::Ended { motion: 2 }));
+}
+
+#[test]
 fn a_reference_that_starts_elsewhere_is_refused() {
     let run = Job::new(200).order(follow(1, started_at(AWAY))).run();
     assert_stopped(&run, StopReason::NotAtStart { motion: 1, joint: 0, distance: 0.4 });
