@@ -415,6 +415,7 @@ fn the_payload_of_an_arm_at_500_hz_is_named_and_served_while_plumbline_listens()
 }
 
 #[test]
+#[ignore = "hil/long-tests/run.sh --all"]
 fn what_an_estimator_has_received_is_evaluated_though_the_daemon_has_ended() {
     let (place, daemon, mut estimator, mut controller) = watched_at_500_hz("guest-ended");
     controller.until(51.0, &place);

@@ -46,6 +46,7 @@ impl Left {
 }
 
 #[test]
+#[ignore = "hil/long-tests/run.sh --all"]
 fn a_vertical_model_is_refused_in_other_mountings() {
     let place = Place::new("vertical");
     place.run(&JOB).expect_code(0);

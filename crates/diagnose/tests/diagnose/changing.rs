@@ -129,6 +129,7 @@ fn found(runs: &[Run]) -> Changing {
 }
 
 #[test]
+#[ignore = "hil/long-tests/run.sh --all"]
 fn noise_alone_raises_no_alarm() {
     for seed in 100..116 {
         let found = found(&recorded(1, seed, |_, _| {}));

@@ -137,6 +137,7 @@ fn a_run_may_differ_more_where_effects_are_delivered() {
 }
 
 #[test]
+#[ignore = "hil/long-tests/run.sh --all"]
 fn noise_of_coarse_encoders_hides_no_unseen_run_that_differs() {
     let scene = Scene::panda_on_the_wall();
     // Steps of 16 bits: above 4 Hz they are most of the noise.
@@ -207,6 +208,7 @@ fn what_came_between_two_runs_is_named_and_the_model_is_of_the_arm_without_it() 
 }
 
 #[test]
+#[ignore = "hil/long-tests/run.sh --all"]
 fn what_has_gone_again_is_not_in_the_prediction_of_later_runs() {
     let scene = Scene::panda_on_the_wall();
     // The last run to identify from, and the first.
@@ -259,6 +261,7 @@ fn a_parameter_that_physics_forbids_is_not_found() {
 }
 
 #[test]
+#[ignore = "hil/long-tests/run.sh --all"]
 fn deviations_are_those_of_repeated_recordings() {
     let scene = Scene::panda_on_the_wall();
     let (delta, fp) = (2e-3, 0.16);

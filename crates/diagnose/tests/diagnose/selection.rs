@@ -60,11 +60,13 @@ fn friction_that_rises_over_a_range_of_speeds() {
 }
 
 #[test]
+#[ignore = "hil/long-tests/run.sh --all"]
 fn a_ripple() {
     found(14, "position-ripple", Site::Joint(5), "joint = 6\norder = 23.0\nsine = 0.1\ncosine = 0.1");
 }
 
 #[test]
+#[ignore = "hil/long-tests/run.sh --all"]
 fn a_sensor_that_feels_another_joint() {
     let site = Site::Pair { row: 5, cause: 3 };
     found(15, "torque-crosstalk", site, "joint = 6\nother = 4\nshare = 0.03");
