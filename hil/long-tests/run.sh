@@ -1,19 +1,14 @@
 #!/usr/bin/env bash
-# The tests of whole jobs and diagnoses that take half a minute or more of a processor each, so that `cargo test` takes minutes.
+# The tests that take ten seconds or more of a processor and have lighter ones beside them, so that `cargo test` takes minutes, and, without a name, the
+# effect that is added by the recipe in CONTRIBUTING.md. .ci/run has no time for them.
 #
-#   hil/long-tests/run.sh [--all] [NAME...]       (parts of their names; all that are marked with this file)
+#   hil/long-tests/run.sh [NAME...]       (parts of their names; all that are marked with this file)
 #
-# With --all also those that are marked so, and the effect that is added by the recipe in CONTRIBUTING.md: more than .ci/run has time for.
 # Exit code 0 when each of them has run and passed. They take minutes.
 set -euo pipefail
 cd "$(dirname "$0")/../.."
-mark='hil/long-tests/run.sh"'
-if [ "${1-}" = --all ]; then
-    mark='hil/long-tests/run.sh\( --all\)\?"'
-    shift
-    [ $# -gt 0 ] || CARGO_TARGET_DIR=target/made-up-effect cargo test --locked --features made-up-effect --test made_up_effect
-fi
-marked=$(grep -rh --include='*.rs' -A1 "ignore = \"$mark" tests crates | sed -n 's/^fn \(\w*\)().*/\1/p')
+[ $# -gt 0 ] || CARGO_TARGET_DIR=target/made-up-effect cargo test --locked --features made-up-effect --test made_up_effect
+marked=$(grep -rh --include='*.rs' -A1 'ignore = "hil/long-tests/run.sh"' tests crates | sed -n 's/^fn \(\w*\)().*/\1/p')
 names=$marked
 [ $# -eq 0 ] || names=$(printf '%s\n' "$marked" | grep -F "$(printf '%s\n' "$@")")
 out=$(mktemp)

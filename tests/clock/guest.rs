@@ -157,7 +157,7 @@ fn the_arm_of_another_controller_is_identified_diagnosed_and_served() {
 }
 
 #[test]
-#[ignore = "hil/long-tests/run.sh --all"]
+#[ignore = "hil/long-tests/run.sh"]
 fn a_publisher_that_is_absent_killed_or_started_again_loses_nothing() {
     let place = Place::new("guest-killed");
     let times = ["backend.guest.identify=60 s", "backend.guest.validate=20 s", "backend.guest.run=20 s"];
@@ -415,7 +415,7 @@ fn the_payload_of_an_arm_at_500_hz_is_named_and_served_while_plumbline_listens()
 }
 
 #[test]
-#[ignore = "hil/long-tests/run.sh --all"]
+#[ignore = "hil/long-tests/run.sh"]
 fn what_an_estimator_has_received_is_evaluated_though_the_daemon_has_ended() {
     let (place, daemon, mut estimator, mut controller) = watched_at_500_hz("guest-ended");
     controller.until(51.0, &place);

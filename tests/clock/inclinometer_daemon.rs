@@ -314,7 +314,7 @@ fn a_loss_with_declared_goes_back_to_the_declared_direction_no_faster_than_allow
 }
 
 #[test]
-#[ignore = "hil/long-tests/run.sh --all"]
+#[ignore = "hil/long-tests/run.sh"]
 fn a_runs_report_says_what_the_inclinometer_did() {
     let _turn = LOOPS.take();
     let place = Place::new("report");

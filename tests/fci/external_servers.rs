@@ -118,7 +118,7 @@ fn franka_sim_with_every_limit_enforced_takes_a_whole_excitation() {
 }
 
 #[test]
-#[ignore = "hil/long-tests/run.sh --all"]
+#[ignore = "hil/long-tests/run.sh"]
 fn franky_sim_takes_a_whole_excitation() {
     let _alone = ONE_AT_A_TIME.lock().unwrap_or_else(PoisonError::into_inner);
     let Some(python) = plumbline_testkit::peers::interpreter_with(&["franky-sim==1.0.4"]) else { return };

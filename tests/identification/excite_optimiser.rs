@@ -149,7 +149,7 @@ fn a_search_improves_keeps_every_limit_and_repeats_by_seed_on_any_number_of_thre
 }
 
 #[test]
-#[ignore = "hil/long-tests/run.sh --all"]
+#[ignore = "hil/long-tests/run.sh"]
 fn each_criterion_is_lowest_after_its_own_search() {
     let arm = Arm::panda();
     let problem = arm.problem(None);

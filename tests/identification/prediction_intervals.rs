@@ -25,7 +25,7 @@ fn stored(scene: &Scene, seed: u64, extra: Extra) -> (Vec<f64>, TorqueUncertaint
 
 /// Without the residual, the interval is that of the modelled torque: its true value on an unseen motion is known.
 #[test]
-#[ignore = "hil/long-tests/run.sh --all"]
+#[ignore = "hil/long-tests/run.sh"]
 fn the_covariance_of_a_model_file_gives_the_error_of_its_torques() {
     let scene = Scene::panda_on_the_wall();
     let n = scene.joints();

@@ -181,7 +181,7 @@ fn a_payload_that_is_picked_up_within_a_run_is_weighed_and_taken_off() {
 }
 
 #[test]
-#[ignore = "hil/long-tests/run.sh --all"]
+#[ignore = "hil/long-tests/run.sh"]
 fn what_an_unseen_run_alone_has_hides_no_effect() {
     let place = tempfile::tempdir().unwrap();
     let chain = Robot::load("panda", None).unwrap().chain;

@@ -115,7 +115,7 @@ fn a_payload_is_reported_and_part_of_the_written_model() {
 }
 
 #[test]
-#[ignore = "hil/long-tests/run.sh --all"]
+#[ignore = "hil/long-tests/run.sh"]
 fn diagnose_compares_later_sessions_with_the_first() {
     let place = tempfile::tempdir().unwrap();
     let dir = place.path();

@@ -132,7 +132,7 @@ fn record(folder: &Path) -> (Dataset, usize) {
 }
 
 #[test]
-#[ignore = "hil/long-tests/run.sh --all"]
+#[ignore = "hil/long-tests/run.sh"]
 fn the_errors_before_and_after_are_those_of_the_files() {
     let place = Place::new("held-out-errors");
     let data = place.path().join("data");

@@ -198,7 +198,7 @@ fn coverage_on_unseen_motion(place: &Place, motions: &[Period; 3], noise: Noise,
 }
 
 #[test]
-#[ignore = "hil/long-tests/run.sh --all"]
+#[ignore = "hil/long-tests/run.sh"]
 fn prediction_intervals_hold_the_torques_of_unseen_motion() {
     let place = Place::new("predict-intervals");
     let (truth, chain) = (sim::arm("sim-panda"), sim::panda());

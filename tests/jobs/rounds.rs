@@ -48,7 +48,7 @@ fn sets(place: &Place, effect: &str) -> Vec<String> {
 }
 
 #[test]
-#[ignore = "hil/long-tests/run.sh --all"]
+#[ignore = "hil/long-tests/run.sh"]
 fn rivals_are_told_apart_by_the_motion_that_is_planned_for_them() {
     let place = Place::new("rounds");
     let sets = sets(&place, "id = \"position-ripple\"\njoint = 3\norder = 1\nsine = 0.3");

@@ -141,7 +141,7 @@ fn judge(seed: u64) -> Judged {
 /// A heavy tool that is picked up in motion makes the arm give way: no contact, and one payload. Another one comes 2.9 s after the begin of a run, where
 /// the arm is not settling. The heaviest is there when the first model is offered, which the daemon then does not serve.
 #[test]
-#[ignore = "hil/long-tests/run.sh --all"]
+#[ignore = "hil/long-tests/run.sh"]
 fn tools_that_are_picked_up_in_motion_are_named_with_their_time() {
     for seed in [8, 32, 152] {
         let Judged { right, in_time, mass, contact } = judge(seed);

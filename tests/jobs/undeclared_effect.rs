@@ -83,7 +83,7 @@ fn an_undeclared_effect_is_found_named_and_added() {
 }
 
 #[test]
-#[ignore = "hil/long-tests/run.sh --all"]
+#[ignore = "hil/long-tests/run.sh"]
 fn what_no_catalogue_holds_is_not_explained_away() {
     // A torque of joint 3 that comes and goes with where joint 2 is and how fast joint 5 turns.
     let foreign = "[[effect]]\nid = \"foreign\"\nform = \"bump\"\njoint = 3\nsize = 0.6\nfirst = 2\nmiddle = -0.6\nwidth = 0.3\nsecond = 5\n\

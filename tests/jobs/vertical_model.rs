@@ -46,7 +46,7 @@ impl Left {
 }
 
 #[test]
-#[ignore = "hil/long-tests/run.sh --all"]
+#[ignore = "hil/long-tests/run.sh"]
 fn a_vertical_model_is_refused_in_other_mountings() {
     let place = Place::new("vertical");
     place.run(&JOB).expect_code(0);

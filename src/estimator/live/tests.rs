@@ -23,18 +23,17 @@ fn records(seconds: f64, offset: impl Fn(f64) -> f64) -> Vec<Record> {
         let t = k as f64 / RATE;
         let mut state = State { seq: k, time: t, ..State::default() };
         let mut ddq = state.q;
-        for j in 0..chain.len() {
+        for (j, ddq) in ddq.iter_mut().enumerate().take(chain.len()) {
             for (size, omega) in [(0.5, 1.3 + 0.31 * j as f64), (0.2, 4.1 - 0.23 * j as f64)] {
                 state.q[j] += size * (omega * t).sin();
                 state.dq[j] += size * omega * (omega * t).cos();
-                ddq[j] -= size * omega * omega * (omega * t).sin();
+                *ddq -= size * omega * omega * (omega * t).sin();
             }
         }
         let n = chain.len();
         let tau = arms::torque(&chain, &delta, &gravity, &state.q[..n], &state.dq[..n], &ddq[..n]);
-        for j in 0..n {
-            state.tau[j] = tau[j] + rng.random_range(-0.05..0.05);
-        }
+        let noise = |tau: &f64| tau + rng.random_range(-0.05..0.05);
+        state.tau.iter_mut().zip(tau.iter().map(noise)).for_each(|(measured, tau)| *measured = tau);
         state.tau[1] += offset(t);
         state.q_d = state.q;
         Record { cycle: k, state, phase: Phase::Excite, motion: 1, tick: k, ..Record::default() }

@@ -3,12 +3,12 @@
 use super::Change;
 use nalgebra::{DMatrix, DVector};
 use plumbline_model::term::effect::{Family, InBodies, assemble};
-use plumbline_model::term::payload;
+use plumbline_model::term::{mounting, payload};
 use plumbline_model::{LINK_COLUMNS, ModelError, Parameter, TorqueModel};
 
 /// The model with the changes: a payload becomes part of the rigid bodies (`beta + regroup delta`), a change of friction or of an offset
 /// goes into the parameter that the model has for it, everything else is one more term. A tilt is a term, too: the mounting that
-/// people declare stays the one that the tilt is reckoned from. No other parameter moves.
+/// people declare stays the one that the tilt is reckoned from. A second tilt is added to the first. No other parameter moves.
 ///
 /// # Errors
 /// An effect that can't be built, or whose columns the model has already at other settings.
@@ -55,8 +55,8 @@ fn carry(reference: &TorqueModel, change: &Change, parameters: &mut [Parameter])
 
 /// Adds to parameters that the model has for the same thing; false when it lacks one of them.
 fn joined(change: &Change, family: &Family, parameters: &mut [Parameter]) -> bool {
-    // The same name at other settings is another thing.
-    if !change.spec.settings.is_empty() {
+    // The same name at other settings is another thing; but a tilt on top of a tilt.
+    if !change.spec.settings.is_empty() && change.spec.form != mounting::ABOUT_A_TILT {
         return false;
     }
     let name = family.rare.changed_parameter;

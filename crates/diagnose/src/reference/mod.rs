@@ -10,6 +10,7 @@
 mod extend;
 mod held;
 mod outcome;
+mod tilt;
 
 pub use extend::extended;
 pub use held::Stored;
@@ -130,7 +131,8 @@ pub fn single_changes(reference: &TorqueModel, trials: &[Trial], settings: &Sett
     let alone = |search: &Search, base: State| {
         let one = |one: Scored| {
             let found = search.found(&base, &one, Vec::new());
-            change(search, &base.with(&search.problem, one.item), 0, found)
+            let (state, _) = tilt::exact(search, base.with(&search.problem, one.item));
+            change(search, &state, 0, found)
         };
         let mut scored = search.propose(&base, |_| true);
         scored.retain(|one| one.score > 0.0);
@@ -190,7 +192,7 @@ fn searched(
         let parameters = reference.parameters();
         let before = left_over(evidence, &base, &DVector::zeros(parameters.len()), bands);
         let (least, lacking) = (least(search, &base), lack(evidence, &base));
-        let selected = search.select(base, &[], progress);
+        let selected = with_exact_tilts(search, search.select(base, &[], progress));
         let doubt = doubt(evidence, &selected.state, parameters);
         // The stored parameters stay what they are.
         let mut theta = selected.state.fit.theta.clone();
@@ -217,9 +219,15 @@ pub fn between_sessions(structure: &Structure, trials: &[Trial], settings: &Sett
     let search =
         Search { problem, operating_point: &operating_point, library: &library, settings, deciding: None, came: &[] };
     let (least, lacking) = (least(&search, &base), lack(&evidence, &base));
-    let selected = search.select(base, &[], progress);
+    let selected = with_exact_tilts(&search, search.select(base, &[], progress));
     let after = left_over(&evidence, &selected.state, &selected.state.fit.theta, BAND_EDGES_HZ.len());
     Changes { least, ..report(&search, selected, [before, after], lacking, Doubt::default()) }
+}
+
+fn with_exact_tilts(search: &Search, selected: Selected) -> Selected {
+    let (state, places) = tilt::exact(search, selected.state);
+    let found = places.iter().map(|&place| selected.found[place].clone()).collect();
+    Selected { state, found, ..selected }
 }
 
 /// Candidates of these families that came with each session after the first.

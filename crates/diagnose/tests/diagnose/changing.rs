@@ -129,7 +129,7 @@ fn found(runs: &[Run]) -> Changing {
 }
 
 #[test]
-#[ignore = "hil/long-tests/run.sh --all"]
+#[ignore = "hil/long-tests/run.sh"]
 fn noise_alone_raises_no_alarm() {
     for seed in 100..116 {
         let found = found(&recorded(1, seed, |_, _| {}));
@@ -138,7 +138,7 @@ fn noise_alone_raises_no_alarm() {
 }
 
 #[test]
-#[ignore = "hil/long-tests/run.sh --all"]
+#[ignore = "hil/long-tests/run.sh"]
 fn noise_of_few_periods_raises_no_alarm_either() {
     let mut alarms = Vec::new();
     for seed in 200..205 {

@@ -210,6 +210,34 @@ fn each_kind_of_change_is_named() {
     }
 }
 
+/// The columns that the search tries are of first order in the tilt. What it delivers is exact.
+#[test]
+fn a_tilt_of_six_degrees_is_exact_and_another_is_added_to_it() {
+    let recorded = |degrees: f64| {
+        let tilt = degrees.to_radians();
+        record(
+            &truth(&format!("[[effect]]\nid = \"mounting\"\ntilt = [0.0, {tilt}, 0.0]\n")),
+            true,
+            1,
+            Mounting::WALL,
+            907,
+        )
+    };
+    let mut model = stored().clone();
+    for degrees in [6.0, 6.5] {
+        let new = recorded(degrees);
+        let first = single_changes(&model, &[Trial::alone(&new[0])], &settings());
+        assert_eq!(first[0].spec.family, "mounting");
+        model = extended(&model, &first[..1]).unwrap();
+        let rms = validate(&new[0], |motion| model.predict(motion)).filtered;
+        let tilts: Vec<f64> = model.parameters()[stored().parameters().len()..].iter().map(|own| own.value).collect();
+        let size = tilts[0].hypot(tilts[1]).to_degrees();
+        println!("{degrees} degrees: {size:.4}, error {rms:.4?} Nm");
+        assert!(tilts.len() == 2 && (size - degrees).abs() < 0.02, "{size} degrees for {degrees}");
+        assert!(rms.iter().all(|rms| *rms < 0.05), "{rms:?}");
+    }
+}
+
 #[test]
 fn what_was_never_identified_is_doubted_and_no_effect_is_blamed() {
     // A generalized structure identified upright: two of its parameters are anything.

@@ -46,7 +46,7 @@ fn withheld<'o>(outcome: &'o Outcome, family: &str) -> &'o str {
 }
 
 #[test]
-#[ignore = "hil/long-tests/run.sh --all"]
+#[ignore = "hil/long-tests/run.sh"]
 fn an_effect_that_unseen_runs_do_not_have_is_not_delivered() {
     let scene = Scene::panda_on_the_wall();
     let identify = 2;
@@ -81,7 +81,7 @@ fn an_effect_that_unseen_runs_have_is_delivered() {
 }
 
 #[test]
-#[ignore = "hil/long-tests/run.sh --all"]
+#[ignore = "hil/long-tests/run.sh"]
 fn an_effect_that_most_joints_have_is_named_where_it_shows() {
     let scene = Scene::panda_on_the_wall();
     let named = |others: &[usize]| {
@@ -119,7 +119,7 @@ fn a_run_that_differs_from_the_identified_ones_is_never_nothing_significant() {
 }
 
 #[test]
-#[ignore = "hil/long-tests/run.sh --all"]
+#[ignore = "hil/long-tests/run.sh"]
 fn a_run_may_differ_more_where_effects_are_delivered() {
     let scene = Scene::panda_on_the_wall();
     let differs = |effect: f64, more: f64| {
@@ -137,7 +137,7 @@ fn a_run_may_differ_more_where_effects_are_delivered() {
 }
 
 #[test]
-#[ignore = "hil/long-tests/run.sh --all"]
+#[ignore = "hil/long-tests/run.sh"]
 fn noise_of_coarse_encoders_hides_no_unseen_run_that_differs() {
     let scene = Scene::panda_on_the_wall();
     // Steps of 16 bits: above 4 Hz they are most of the noise.
@@ -208,7 +208,7 @@ fn what_came_between_two_runs_is_named_and_the_model_is_of_the_arm_without_it() 
 }
 
 #[test]
-#[ignore = "hil/long-tests/run.sh --all"]
+#[ignore = "hil/long-tests/run.sh"]
 fn what_has_gone_again_is_not_in_the_prediction_of_later_runs() {
     let scene = Scene::panda_on_the_wall();
     // The last run to identify from, and the first.
@@ -261,7 +261,7 @@ fn a_parameter_that_physics_forbids_is_not_found() {
 }
 
 #[test]
-#[ignore = "hil/long-tests/run.sh --all"]
+#[ignore = "hil/long-tests/run.sh"]
 fn deviations_are_those_of_repeated_recordings() {
     let scene = Scene::panda_on_the_wall();
     let (delta, fp) = (2e-3, 0.16);

@@ -53,20 +53,20 @@ fn a_torque_offset() {
 
 /// Coulomb friction as an arc tangent of speed.
 #[test]
-#[ignore = "hil/long-tests/run.sh --all"]
+#[ignore = "hil/long-tests/run.sh"]
 fn friction_that_rises_over_a_range_of_speeds() {
     let text = "joint = 3\nform = \"arctan\"\nsize = 0.2\nvelocity = 0.02";
     found(13, "coulomb-slope", Site::Joint(2), text);
 }
 
 #[test]
-#[ignore = "hil/long-tests/run.sh --all"]
+#[ignore = "hil/long-tests/run.sh"]
 fn a_ripple() {
     found(14, "position-ripple", Site::Joint(5), "joint = 6\norder = 23.0\nsine = 0.1\ncosine = 0.1");
 }
 
 #[test]
-#[ignore = "hil/long-tests/run.sh --all"]
+#[ignore = "hil/long-tests/run.sh"]
 fn a_sensor_that_feels_another_joint() {
     let site = Site::Pair { row: 5, cause: 3 };
     found(15, "torque-crosstalk", site, "joint = 6\nother = 4\nshare = 0.03");
@@ -74,7 +74,7 @@ fn a_sensor_that_feels_another_joint() {
 
 /// A link that falls from flank to flank swings there.
 #[test]
-#[ignore = "hil/long-tests/run.sh --all"]
+#[ignore = "hil/long-tests/run.sh"]
 fn a_gap_that_a_link_swings_in() {
     found(16, "backlash", Site::Joint(5), "joint = 6\ngap = 0.0025");
 }

@@ -67,7 +67,7 @@ pub struct Rare {
     pub between_coupled: bool,
     /// Whether it may change after an identification; a comparison with a stored model then searches for it.
     pub may_change: bool,
-    /// Whether it may come at once within a recording: a tool that is picked up, a base that is pushed. Its forms have no settings.
+    /// Whether it may come at once within a recording: a tool that is picked up, a base that is pushed. The form that a search tries has no settings.
     pub comes_at_once: bool,
     /// Its part in a description of rigid bodies (URDF, MJCF).
     pub in_bodies: InBodies,
@@ -217,7 +217,7 @@ pub struct Setting {
     pub low: f64,
     /// Largest value.
     pub high: f64,
-    /// Number of start values of a search.
+    /// Number of start values of a search; 0 where none tries the form.
     pub steps: usize,
     /// Spacing of the start values.
     pub scale: Scale,

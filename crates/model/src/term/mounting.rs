@@ -9,20 +9,39 @@ use super::quantity;
 use crate::gravity::Mounting;
 use nalgebra::Vector3;
 use plumbline_core::JointVec;
+use std::f64::consts::PI;
 
-/// A small tilt of the base, as two angles. A VBS lacks two parameters that a tilt excites, so that its columns are incomplete.
+/// A tilt of the base, as the two components of its rotation vector across gravity. Identified upright, an arm lacks two parameters that a tilt excites,
+/// so that its columns are incomplete.
+///
+/// The torque is linear in gravity, and a tilt `t = t_a a + t_b b` by the angle `r = |t|` turns gravity to
+/// `g + (sin r / r) t x g - (1 - cos r) g` (Rodrigues' formula, `t` across `g`). Without a setting the columns are the derivative at no tilt, which a search
+/// can try without knowing the tilt. About a tilt `s` they are `(sin s / s) k x g - (1 - cos s) / s^2 s_k g` for `k = a, b`: at `t = s` their sum is exact.
 pub static FAMILY: Family = Family {
     id: "mounting",
     physics: "The base is mounted at another angle than declared.",
     place: Place::Arm,
-    forms: &[Form {
-        name: "",
-        equation: "tau = d tau_rb / d g (tilt_a a x g + tilt_b b x g), in all rows; upright a, b are the base x, y axes",
-        settings: &[],
-        build,
-        in_c: REFUSED_OTHER_STATE,
-        plot_over: PlotOver::Nothing,
-    }],
+    forms: &[
+        Form {
+            name: "",
+            equation: "tau = d tau_rb / d g (tilt_a a x g + tilt_b b x g), in all rows; upright a, b are the base x, y axes",
+            settings: &[],
+            build: |operating_point, site, settings| build(operating_point, "", site, settings),
+            in_c: REFUSED_OTHER_STATE,
+            plot_over: PlotOver::Nothing,
+        },
+        Form {
+            name: ABOUT_A_TILT,
+            equation: "the same about the tilt a0, b0, where it is exact: tau = d tau_rb / d g (R g - g), R the rotation by the tilt",
+            settings: &[
+                Setting { name: "a0", what: "tilt_a at which the columns are taken", ..ABOUT },
+                Setting { name: "b0", what: "tilt_b at which the columns are taken", ..ABOUT },
+            ],
+            build: |operating_point, site, settings| build(operating_point, ABOUT_A_TILT, site, settings),
+            in_c: REFUSED_OTHER_STATE,
+            plot_over: PlotOver::Nothing,
+        },
+    ],
     stratum: Stratum::Repeatable,
     typical: "0.5 degrees, which are 0.1 to 0.2 Nm per joint near the base",
     confounded: &[
@@ -34,6 +53,11 @@ pub static FAMILY: Family = Family {
     rare: Rare { may_change: true, comes_at_once: true, quantities: angles, ..Rare::NONE },
 };
 
+/// The form whose columns are taken at a tilt. No search tries it.
+pub const ABOUT_A_TILT: &str = "about-a-tilt";
+
+const ABOUT: Setting = Setting { name: "", unit: "rad", what: "", low: -PI, high: PI, steps: 0, scale: Scale::Linear };
+
 /// The axes of the two tilts in the base frame: across gravity, and `a`, `b`, up a right-handed frame. `a` is the base's x axis
 /// upright, and in every other mounting the part across gravity of its x axis (of its y axis where x is within 37 degrees of
 /// gravity).
@@ -44,15 +68,27 @@ pub fn axes(gravity: &Vector3<f64>) -> [Vector3<f64>; 2] {
     [a, up.cross(&a)]
 }
 
-fn build(operating_point: &OperatingPoint, site: Site, settings: &[f64]) -> Arc<dyn Term> {
+fn build(operating_point: &OperatingPoint, form: &'static str, site: Site, settings: &[f64]) -> Arc<dyn Term> {
     let load = Arc::clone(&operating_point.load);
     let columns = ["tilt_a", "tilt_b"].map(|stem| column(stem, site, "", "rad")).to_vec();
-    AllRows::term(&FAMILY, "", site, settings, columns, move |gravity| {
+    let about = match settings {
+        &[a, b] => [a, b],
+        _ => [0.0; 2],
+    };
+    AllRows::term(&FAMILY, form, site, settings, columns, move |gravity| {
         // Without gravity a tilt has no effect.
-        let turned = |axis: Vector3<f64>| load.under(&axis.cross(gravity));
-        let tilts = if gravity.norm() > 0.0 { axes(gravity).map(turned).to_vec() } else { Vec::new() };
-        Tilt(tilts)
+        let turned = |by: Vector3<f64>| load.under(&by);
+        Tilt(if gravity.norm() > 0.0 { turns(gravity, about).map(turned).to_vec() } else { Vec::new() })
     })
+}
+
+/// The change of gravity by each of the two tilts, whose sum at the tilt `about` is exact \[m/s2 per rad\].
+fn turns(gravity: &Vector3<f64>, about: [f64; 2]) -> [Vector3<f64>; 2] {
+    let angle = about[0].hypot(about[1]);
+    let (along, back) =
+        if angle > 0.0 { (angle.sin() / angle, (1.0 - angle.cos()) / angle.powi(2)) } else { (1.0, 0.5) };
+    let axes = axes(gravity);
+    [0, 1].map(|k| along * axes[k].cross(gravity) - back * about[k] * gravity)
 }
 
 /// The rigid bodies under the change of gravity by each tilt.
@@ -89,6 +125,6 @@ fn angles(results: &Results) -> Vec<Quantity> {
 /// The declared mounting turned by a tilt.
 fn tilted(declared: &Mounting, tilt: [f64; 2]) -> Mounting {
     let gravity = declared.gravity();
-    let [a, b] = axes(&gravity);
-    Mounting::along(&(gravity + tilt[0] * a.cross(&gravity) + tilt[1] * b.cross(&gravity)))
+    let [a, b] = turns(&gravity, tilt);
+    Mounting::along(&(gravity + tilt[0] * a + tilt[1] * b))
 }

@@ -4,7 +4,7 @@ use crate::models::{columns, effect, model_within, operating_point, rigid_model,
 use nalgebra::{DMatrix, DVector, Rotation3, Unit, Vector3};
 use plumbline_model::term::Motion;
 use plumbline_model::term::effect::{OperatingPoint, Site, Spec};
-use plumbline_model::term::mounting::axes;
+use plumbline_model::term::mounting::{ABOUT_A_TILT, axes};
 use plumbline_model::{Mounting, Placement, TorqueModel};
 use plumbline_testkit::arms::{chain, draw, torque};
 use rand::{Rng, SeedableRng};
@@ -278,6 +278,24 @@ fn a_tilt_turns_gravity() {
             let expected = (tilted(a) - tilted(-a)) / (2.0 * a);
             assert!((found - &expected).amax() < 1e-7 * expected.amax());
         }
+    }
+}
+
+/// About a tilt the two columns give exactly what that tilt does, however large it is.
+#[test]
+fn a_tilt_about_itself_is_exact() {
+    let mut rng = ChaCha8Rng::seed_from_u64(10);
+    let model = rigid_model("panda", &mut rng);
+    for about in [[0.0, 0.0], [0.05, -0.02], [-0.9, 0.4], [2.0, 1.0]] {
+        let motion = smooth_motion(&mut rng, 7, false, 50);
+        let [a, b] = axes(&motion.gravity);
+        let turn = Rotation3::new(about[0] * a + about[1] * b);
+        let tilted = load(&model, &Motion { gravity: turn * motion.gravity, ..motion.clone() });
+        let spec = effect("mounting", ABOUT_A_TILT, Site::Arm, &about);
+        let found = columns(&operating_point(&model), &spec, &motion) * DVector::from_row_slice(&about);
+        let expected = tilted - load(&model, &motion);
+        let difference = (0..7).map(|j| (found.rows(50 * j, 50) - expected.column(j)).amax()).fold(0.0, f64::max);
+        assert!(difference < 1e-9, "{about:?}: {difference:e}");
     }
 }
 

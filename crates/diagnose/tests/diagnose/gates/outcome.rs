@@ -340,7 +340,7 @@ fn unexplained(seconds: f64, seed: u64, torque: impl Fn(&At) -> [f64; 2]) -> Vec
 }
 
 #[test]
-#[ignore = "hil/long-tests/run.sh --all"]
+#[ignore = "hil/long-tests/run.sh"]
 fn slow_noise_of_a_motion_without_repeats_is_no_dependence_and_a_bump_is_one() {
     let mut alarms = 0;
     for seed in 0..12u64 {
@@ -360,7 +360,7 @@ fn slow_noise_of_a_motion_without_repeats_is_no_dependence_and_a_bump_is_one() {
 }
 
 #[test]
-#[ignore = "hil/long-tests/run.sh --all"]
+#[ignore = "hil/long-tests/run.sh"]
 fn slow_noise_of_a_motion_without_repeats_is_no_effect_that_came_and_an_offset_is_one() {
     // First-order noise of 0.5 s, in blocks of two seconds.
     let noise = |seed: u64| {
