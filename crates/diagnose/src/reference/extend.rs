@@ -56,7 +56,7 @@ fn carry(reference: &TorqueModel, change: &Change, parameters: &mut [Parameter])
 /// Adds to parameters that the model has for the same thing; false when it lacks one of them.
 fn joined(change: &Change, family: &Family, parameters: &mut [Parameter]) -> bool {
     // The same name at other settings is another thing; but a tilt on top of a tilt.
-    if !change.spec.settings.is_empty() && change.spec.form != mounting::ABOUT_A_TILT {
+    if !change.spec.settings.is_empty() && change.spec.family != mounting::FAMILY.id {
         return false;
     }
     let name = family.rare.changed_parameter;

@@ -26,7 +26,12 @@ pub(super) fn exact(search: &Search, mut state: State) -> (State, Vec<usize>) {
 
 fn about_itself(search: &Search, state: &State, item: usize) -> Option<Candidate> {
     let own = &state.items[item];
-    let settings = state.fit.theta.as_slice()[state.range(item)].to_vec();
-    let spec = Spec { form: mounting::ABOUT_A_TILT, settings, ..own.spec.clone() };
-    Candidate::of(search.problem.evidence, search.operating_point, spec, own.span)
+    let tilt = &state.fit.theta.as_slice()[state.range(item)];
+    let (evidence, operating_point) = (search.problem.evidence, search.operating_point);
+    let mut gravities = (0..evidence.experiments()).map(|experiment| evidence.motion(experiment).gravity);
+    let lacks = gravities.any(|gravity| mounting::lacks_first_moments(operating_point, &gravity));
+    let form = if lacks { mounting::WITH_FIRST_LINK } else { mounting::ABOUT_A_TILT };
+    // Of the first link nothing is known before.
+    let settings = tilt[..2].to_vec();
+    Candidate::of(evidence, operating_point, Spec { form, settings, ..own.spec.clone() }, own.span)
 }

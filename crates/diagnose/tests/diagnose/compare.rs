@@ -238,6 +238,24 @@ fn a_tilt_of_six_degrees_is_exact_and_another_is_added_to_it() {
     }
 }
 
+/// Upright the first moments of link 1 do no work; tilted they do, and the model that was identified upright does not have them.
+#[test]
+fn a_tilt_of_an_arm_that_was_identified_upright_brings_its_first_link_to_bear() {
+    let mounting = Mounting::UPRIGHT;
+    let model = model_from(BaseKind::Vbs, &record(&truth(""), false, 2, mounting, 7), mounting);
+    let tilt = [0.02_f64, 0.03];
+    let more = format!("[[effect]]\nid = \"mounting\"\ntilt = [{}, {}, 0.0]\n", tilt[0], tilt[1]);
+    let new = record(&truth(&more), true, 1, mounting, 1007);
+    let first = single_changes(&model, &[Trial::alone(&new[0])], &settings());
+    assert_eq!(first[0].spec.family, "mounting");
+    let model = extended(&model, &first[..1]).unwrap();
+    let rms = validate(&new[0], |motion| model.predict(motion)).filtered;
+    let size = first[0].parameters[0].value.hypot(first[0].parameters[1].value);
+    println!("{size:.5} rad, {:?}, error {rms:.4?} Nm", first[0].parameters);
+    assert!((size / tilt[0].hypot(tilt[1]) - 1.0).abs() < 0.01, "{size}");
+    assert!(rms.iter().all(|rms| *rms < 0.05), "{rms:?}");
+}
+
 #[test]
 fn what_was_never_identified_is_doubted_and_no_effect_is_blamed() {
     // A generalized structure identified upright: two of its parameters are anything.

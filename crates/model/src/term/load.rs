@@ -36,6 +36,11 @@ impl Load {
         &self.chain
     }
 
+    /// First moments of link 1 across its axis \[kg m\]; 0 where they are no base parameters.
+    pub(super) fn first_moments(&self) -> [f64; 2] {
+        self.links.first().map_or([0.0; 2], |link| [link[6], link[7]])
+    }
+
     /// Precomputed for one gravity vector in the base frame \[m/s2\].
     pub fn under(&self, gravity: &Vector3<f64>) -> LoadUnder {
         let mut closed = ClosedForm::default();

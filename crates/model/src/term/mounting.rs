@@ -6,17 +6,20 @@ use super::family::*;
 use super::load::LoadUnder;
 use super::one_row::column;
 use super::quantity;
-use crate::gravity::Mounting;
+use crate::chain::JointKind;
+use crate::gravity::{Mounting, VERTICAL_TOLERANCE};
 use nalgebra::Vector3;
 use plumbline_core::JointVec;
 use std::f64::consts::PI;
 
-/// A tilt of the base, as the two components of its rotation vector across gravity. Identified upright, an arm lacks two parameters that a tilt excites,
-/// so that its columns are incomplete.
+/// A tilt of the base, as the two components of its rotation vector across gravity.
 ///
 /// The torque is linear in gravity, and a tilt `t = t_a a + t_b b` by the angle `r = |t|` turns gravity to
 /// `g + (sin r / r) t x g - (1 - cos r) g` (Rodrigues' formula, `t` across `g`). Without a setting the columns are the derivative at no tilt, which a search
 /// can try without knowing the tilt. About a tilt `s` they are `(sin s / s) k x g - (1 - cos s) / s^2 s_k g` for `k = a, b`: at `t = s` their sum is exact.
+///
+/// Identified while gravity is along axis 1, an arm lacks two parameters that a tilt excites: the first moments of link 1 across its axis. Their torque in a
+/// tilted base is a first harmonic of `q1` in row 1, of unknown size, and columns of the third form.
 pub static FAMILY: Family = Family {
     id: "mounting",
     physics: "The base is mounted at another angle than declared.",
@@ -41,6 +44,17 @@ pub static FAMILY: Family = Family {
             in_c: REFUSED_OTHER_STATE,
             plot_over: PlotOver::Nothing,
         },
+        Form {
+            name: WITH_FIRST_LINK,
+            equation: "the same about the tilt a0, b0, and tau_1 = tilt_c cos q1 + tilt_s sin q1 where gravity is declared along axis 1",
+            settings: &[
+                Setting { name: "a0", what: "tilt_a at which the columns are taken", ..ABOUT },
+                Setting { name: "b0", what: "tilt_b at which the columns are taken", ..ABOUT },
+            ],
+            build: |operating_point, site, settings| build(operating_point, WITH_FIRST_LINK, site, settings),
+            in_c: REFUSED_OTHER_STATE,
+            plot_over: PlotOver::Nothing,
+        },
     ],
     stratum: Stratum::Repeatable,
     typical: "0.5 degrees, which are 0.1 to 0.2 Nm per joint near the base",
@@ -53,8 +67,10 @@ pub static FAMILY: Family = Family {
     rare: Rare { may_change: true, comes_at_once: true, quantities: angles, ..Rare::NONE },
 };
 
-/// The form whose columns are taken at a tilt. No search tries it.
+/// The form whose columns are taken at a tilt. No search tries it, nor the next.
 pub const ABOUT_A_TILT: &str = "about-a-tilt";
+/// The same with the torque of the first moments of link 1.
+pub const WITH_FIRST_LINK: &str = "about-a-tilt-with-first-link";
 
 const ABOUT: Setting = Setting { name: "", unit: "rad", what: "", low: -PI, high: PI, steps: 0, scale: Scale::Linear };
 
@@ -70,7 +86,10 @@ pub fn axes(gravity: &Vector3<f64>) -> [Vector3<f64>; 2] {
 
 fn build(operating_point: &OperatingPoint, form: &'static str, site: Site, settings: &[f64]) -> Arc<dyn Term> {
     let load = Arc::clone(&operating_point.load);
-    let columns = ["tilt_a", "tilt_b"].map(|stem| column(stem, site, "", "rad")).to_vec();
+    let has_first = form == WITH_FIRST_LINK;
+    let of_first = [("tilt_c", "Nm"), ("tilt_s", "Nm")];
+    let names = [("tilt_a", "rad"), ("tilt_b", "rad")].into_iter().chain(of_first.into_iter().filter(|_| has_first));
+    let columns = names.map(|(stem, unit)| column(stem, site, "", unit)).collect();
     let about = match settings {
         &[a, b] => [a, b],
         _ => [0.0; 2],
@@ -78,8 +97,19 @@ fn build(operating_point: &OperatingPoint, form: &'static str, site: Site, setti
     AllRows::term(&FAMILY, form, site, settings, columns, move |gravity| {
         // Without gravity a tilt has no effect.
         let turned = |by: Vector3<f64>| load.under(&by);
-        Tilt(if gravity.norm() > 0.0 { turns(gravity, about).map(turned).to_vec() } else { Vec::new() })
+        let turned = if gravity.norm() > 0.0 { turns(gravity, about).map(turned).to_vec() } else { Vec::new() };
+        Tilt { turned, has_first: has_first && is_along_axis_1(gravity) }
     })
+}
+
+fn is_along_axis_1(gravity: &Vector3<f64>) -> bool {
+    gravity.norm() > 0.0 && Mounting::along(gravity).is_along_axis_1(VERTICAL_TOLERANCE)
+}
+
+/// Whether a tilt from this gravity brings first moments of link 1 to bear that the model does not have.
+pub fn lacks_first_moments(operating_point: &OperatingPoint, gravity: &Vector3<f64>) -> bool {
+    let revolute = operating_point.chain.joints().first().is_some_and(|joint| joint.kind == JointKind::Revolute);
+    revolute && is_along_axis_1(gravity) && operating_point.load.first_moments() == [0.0; 2]
 }
 
 /// The change of gravity by each of the two tilts, whose sum at the tilt `about` is exact \[m/s2 per rad\].
@@ -92,13 +122,19 @@ fn turns(gravity: &Vector3<f64>, about: [f64; 2]) -> [Vector3<f64>; 2] {
 }
 
 /// The rigid bodies under the change of gravity by each tilt.
-struct Tilt(Vec<LoadUnder>);
+struct Tilt {
+    turned: Vec<LoadUnder>,
+    has_first: bool,
+}
 
 impl Law for Tilt {
     fn at(&mut self, sample: &Sample, _clock: &Clock, columns: &mut [JointVec]) {
-        for (column, load) in columns.iter_mut().zip(&mut self.0) {
+        for (column, load) in columns.iter_mut().zip(&mut self.turned) {
             *column = at_rest(load, sample);
         }
+        let (sin, cos) = sample.q[0].sin_cos();
+        let of_first = columns.iter_mut().skip(2).filter(|_| self.has_first);
+        of_first.zip([cos, sin]).for_each(|(column, torque)| column[0] = torque);
     }
 }
 
