@@ -4,8 +4,6 @@ mod changes;
 mod log;
 #[cfg(test)]
 mod replay;
-#[cfg(test)]
-mod tests;
 
 use self::changes::{Change, Search};
 use self::log::{Event, Log, Stretch};
