@@ -26,6 +26,11 @@ fn truth(more: &str) -> Truth {
     arm_with("sim-panda", more)
 }
 
+/// The arm on a base that is turned by this rotation vector, in the base frame \[rad\].
+fn tilted(tilt: [f64; 3]) -> Truth {
+    truth(&format!("[[effect]]\nid = \"mounting\"\ntilt = {tilt:?}\n"))
+}
+
 /// Recordings of that arm: motions that identify, or others.
 fn record(truth: &Truth, others: bool, count: usize, mounting: Mounting, seed: u64) -> Vec<Experiment> {
     let [identify, validate] = plans();
@@ -172,7 +177,7 @@ fn each_kind_of_change_is_named() {
     let mut slippery = truth("");
     (slippery.joints[3].fc, slippery.joints[3].fv) = (slippery.joints[3].fc * 2.0, slippery.joints[3].fv * 1.5);
     let cases = [
-        ("mounting the arm", truth(&format!("[[effect]]\nid = \"mounting\"\ntilt = [0.0, {tilt}, 0.0]\n"))),
+        ("mounting the arm", tilted([0.0, tilt, 0.0])),
         ("friction-change joint 4", slippery),
         ("torque-offset joint 2", truth("[[effect]]\nid = \"torque-offset\"\njoint = 2\noffset = 0.3\n")),
         ("torque-gain joint 1", truth("[[effect]]\nid = \"torque-gain\"\njoint = 1\ngain = 1.03\n")),
@@ -213,19 +218,9 @@ fn each_kind_of_change_is_named() {
 /// The columns that the search tries are of first order in the tilt. What it delivers is exact.
 #[test]
 fn a_tilt_of_six_degrees_is_exact_and_another_is_added_to_it() {
-    let recorded = |degrees: f64| {
-        let tilt = degrees.to_radians();
-        record(
-            &truth(&format!("[[effect]]\nid = \"mounting\"\ntilt = [0.0, {tilt}, 0.0]\n")),
-            true,
-            1,
-            Mounting::WALL,
-            907,
-        )
-    };
     let mut model = stored().clone();
-    for degrees in [6.0, 6.5] {
-        let new = recorded(degrees);
+    for degrees in [6.0_f64, 6.5] {
+        let new = record(&tilted([0.0, degrees.to_radians(), 0.0]), true, 1, Mounting::WALL, 907);
         let first = single_changes(&model, &[Trial::alone(&new[0])], &settings());
         assert_eq!(first[0].spec.family, "mounting");
         model = extended(&model, &first[..1]).unwrap();
@@ -244,8 +239,7 @@ fn a_tilt_of_an_arm_that_was_identified_upright_brings_its_first_link_to_bear() 
     let mounting = Mounting::UPRIGHT;
     let model = model_from(BaseKind::Vbs, &record(&truth(""), false, 2, mounting, 7), mounting);
     let tilt = [0.02_f64, 0.03];
-    let more = format!("[[effect]]\nid = \"mounting\"\ntilt = [{}, {}, 0.0]\n", tilt[0], tilt[1]);
-    let new = record(&truth(&more), true, 1, mounting, 1007);
+    let new = record(&tilted([tilt[0], tilt[1], 0.0]), true, 1, mounting, 1007);
     let first = single_changes(&model, &[Trial::alone(&new[0])], &settings());
     assert_eq!(first[0].spec.family, "mounting");
     let model = extended(&model, &first[..1]).unwrap();

@@ -36,10 +36,7 @@ pub static FAMILY: Family = Family {
         Form {
             name: ABOUT_A_TILT,
             equation: "the same about the tilt a0, b0, where it is exact: tau = d tau_rb / d g (R g - g), R the rotation by the tilt",
-            settings: &[
-                Setting { name: "a0", what: "tilt_a at which the columns are taken", ..ABOUT },
-                Setting { name: "b0", what: "tilt_b at which the columns are taken", ..ABOUT },
-            ],
+            settings: &THE_TILT,
             build: |operating_point, site, settings| build(operating_point, ABOUT_A_TILT, site, settings),
             in_c: REFUSED_OTHER_STATE,
             plot_over: PlotOver::Nothing,
@@ -47,10 +44,7 @@ pub static FAMILY: Family = Family {
         Form {
             name: WITH_FIRST_LINK,
             equation: "the same about the tilt a0, b0, and tau_1 = tilt_c cos q1 + tilt_s sin q1 where gravity is declared along axis 1",
-            settings: &[
-                Setting { name: "a0", what: "tilt_a at which the columns are taken", ..ABOUT },
-                Setting { name: "b0", what: "tilt_b at which the columns are taken", ..ABOUT },
-            ],
+            settings: &THE_TILT,
             build: |operating_point, site, settings| build(operating_point, WITH_FIRST_LINK, site, settings),
             in_c: REFUSED_OTHER_STATE,
             plot_over: PlotOver::Nothing,
@@ -72,7 +66,13 @@ pub const ABOUT_A_TILT: &str = "about-a-tilt";
 /// The same with the torque of the first moments of link 1.
 pub const WITH_FIRST_LINK: &str = "about-a-tilt-with-first-link";
 
-const ABOUT: Setting = Setting { name: "", unit: "rad", what: "", low: -PI, high: PI, steps: 0, scale: Scale::Linear };
+/// The tilt that columns are taken at.
+const THE_TILT: [Setting; 2] = [
+    Setting { name: "a0", what: "tilt_a at which the columns are taken", ..COMPONENT },
+    Setting { name: "b0", what: "tilt_b at which the columns are taken", ..COMPONENT },
+];
+const COMPONENT: Setting =
+    Setting { name: "", unit: "rad", what: "", low: -PI, high: PI, steps: 0, scale: Scale::Linear };
 
 /// The axes of the two tilts in the base frame: across gravity, and `a`, `b`, up a right-handed frame. `a` is the base's x axis
 /// upright, and in every other mounting the part across gravity of its x axis (of its y axis where x is within 37 degrees of
@@ -132,9 +132,10 @@ impl Law for Tilt {
         for (column, load) in columns.iter_mut().zip(&mut self.turned) {
             *column = at_rest(load, sample);
         }
-        let (sin, cos) = sample.q[0].sin_cos();
-        let of_first = columns.iter_mut().skip(2).filter(|_| self.has_first);
-        of_first.zip([cos, sin]).for_each(|(column, torque)| column[0] = torque);
+        if self.has_first {
+            let (sin, cos) = sample.q[0].sin_cos();
+            columns.iter_mut().skip(2).zip([cos, sin]).for_each(|(column, torque)| column[0] = torque);
+        }
     }
 }
 
