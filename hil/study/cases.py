@@ -21,6 +21,7 @@ from plant import COLUMN, STEP, Conditions
 
 BAND = 8.0  # Hz, of the floor and of what is left unmodelled
 RATE = 125  # Hz, of the truth's fit
+ALIAS_BAND = 50.0  # Hz, of what the truth's fit is sampled from: an elastic joint swings at 200 Hz, and may not fold into the band
 TRIM = 0.4  # s at both ends of a run that the truth's fit leaves out
 DETECTABLE = 1.0
 FORMS = ["tanh", "arctan", "lugre", "maxwell", "stribeck", "power"]
@@ -284,7 +285,7 @@ def active(e, k, t=None):
 
 
 def simulate(case, effects):
-    """Noise-free samples of all runs with some effects: list of (t, q, v, a, tau), as the sensors see them but for noise."""
+    """All steps of all runs with some effects: list of (t, q, v, a, tau), as the sensors see them but for noise and rate."""
     rotor = case.arm.rotor.copy()
     n = case.arm.n
     table = case.table.copy()
@@ -335,7 +336,6 @@ def simulate(case, effects):
             base.shake = np.concatenate([size * d / np.linalg.norm(d), e["phase"] + np.arange(3)])
             base.shake_f = e["frequency"]
     arm = plant.Plant(case.arm, table, case.controller, case.mounting, rotor, coupling, ratio)
-    every = int(round(1 / (case.rate * STEP)))
     seen = []
     for k, run in enumerate(case.runs):
         c = Conditions(**vars(base))
@@ -363,7 +363,7 @@ def simulate(case, effects):
             for name in ("fc", "fv"):
                 changed[steps[0]["joint"], COLUMN[name]] *= 1 + steps[0]["size"]
             arm.change = (active(steps[0], k), changed)
-        out = arm.run(run.reference, every, c)
+        out = arm.run(run.reference, 1, c)
         arm.change = None
         arm.heat *= 0.9  # a pause between the runs
         q, before, after, command, behind = out
@@ -373,7 +373,7 @@ def simulate(case, effects):
             rotors = [e["joint"] for e in effects if e["kind"] == "rotor"]
             behind = behind - np.where(arm.twist < 0, arm_rotor(case, rotor, rotors), 0.0) * acceleration
             tau = behind
-        t = np.arange(len(q)) / case.rate
+        t = np.arange(len(q)) * STEP
         for e in effects:
             when, size, j = active(e, k), e["size"], e["joint"]
             if when is None:
@@ -393,10 +393,15 @@ def simulate(case, effects):
                 acceleration[:, j] += size * (np.cos(wave) * acceleration[:, j] - np.sin(wave) * speed[:, j] ** 2)
                 speed[:, j] *= 1 + size * np.cos(wave)
             elif e["kind"] == "delay":
-                shift = int(round(size))
+                shift = int(round(size)) * per_sample(case)
                 tau = np.concatenate([np.repeat(tau[:1], shift, axis=0), tau[: len(tau) - shift]])
         seen.append((t, q, speed, acceleration, tau))
     return seen
+
+
+def per_sample(case):
+    """Steps of the simulation for each sample of the recording."""
+    return int(round(1 / (case.rate * STEP)))
 
 
 def arm_rotor(case, rotor, sensed):
@@ -438,13 +443,15 @@ class Plain:
     def unmodelled(self, seen, offsets=True):
         """What the plain model leaves: per run, time [s] and low-passed residual [samples, joints]."""
         case, n = self.case, self.case.arm.n
-        skip = case.rate // RATE
+        skip = int(round(1 / (RATE * STEP)))
+        alias = butter(4, ALIAS_BAND, fs=1 / STEP, output="sos")
         blocks, targets, times = [], [], []
         for t, q, v, a, tau in seen:
-            t, q, v, a, tau = (x[::skip] for x in (t, q, v, a, tau))
+            own = [np.tanh(100 * v), v] + ([np.ones_like(v)] if offsets else []) + ([a] if case.arm.sensing == "motor" else [])
+            q, v, a, tau, *own = (sosfiltfilt(alias, x, axis=0)[::skip] for x in (q, v, a, tau, *own))
+            t = t[::skip]
             keep = slice(int(TRIM * RATE), len(t) - int(TRIM * RATE), 5)
             columns = self.rigid(q, v, a, self.base)
-            own = [np.tanh(100 * v), v] + ([np.ones_like(v)] if offsets else []) + ([a] if case.arm.sensing == "motor" else [])
             full = np.zeros((len(range(len(t))[keep]), n, len(self.base) + n * len(own)))
             full[:, :, : len(self.base)] = sosfiltfilt(self.filter, columns, axis=0)[keep]
             for m, x in enumerate(own):
@@ -543,7 +550,9 @@ def first_order(white, decay):
 def measure(case, rng, seen):
     """Sensors: quantised positions, noisy torques, lost rows; faults where the case has them."""
     n = case.arm.n
-    for run, (t, q, v, a, tau) in zip(case.runs, seen):
+    every = per_sample(case)
+    for run, steps in zip(case.runs, seen):
+        t, q, v, _, tau = (x[: len(x) // every * every : every] for x in steps)
         tau = tau + case.white * rng.normal(size=tau.shape)
         tau = tau + case.slow * first_order(rng.normal(size=tau.shape), np.exp(-1 / (case.rate * case.slow_time)))
         quantised = np.where(case.torque_step > 0, np.round(tau / np.maximum(case.torque_step, 1e-9)) * case.torque_step, tau)
