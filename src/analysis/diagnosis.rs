@@ -14,7 +14,9 @@ use plumbline_diagnose::{Diagnosis, Effect, Input, OpenQuestions, Progress, Tria
 use plumbline_identify::solve::{self, ols, stack::Stack};
 use plumbline_identify::{ExcludedSpan, Experiment, Settings};
 use plumbline_model::term::Motion;
+use plumbline_model::term::effect::OperatingPoint;
 use plumbline_model::{Mounting, Robot, Structure, TorqueModel};
+use std::borrow::Cow;
 use std::slice;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -50,7 +52,20 @@ pub fn run(question: &Question) -> Result<Diagnosed, Failure> {
     pipeline::check_channels(question.identify)?;
     let bar = progress::bar("diagnosing");
     bar.busy("preparing the runs");
-    let Prepared { identify, variation, unseen, starts } = prepared(question)?;
+    let first = prepared(question, None)?;
+    let touched = first.variation.contacts.clone();
+    let found = diagnosed(question, first, &bar)?;
+    // What a contact was found by may be an effect that the plain model lacks.
+    let acts = found.block.effects.iter().any(|effect| effect.acts.is_some());
+    if touched.is_empty() || acts || !found.block.effects.iter().any(|effect| effect.in_model) {
+        return Ok(found);
+    }
+    let again = prepared(question, Some(&found.after.model))?;
+    if again.variation.contacts.len() < touched.len() { diagnosed(question, again, &bar) } else { Ok(found) }
+}
+
+fn diagnosed(question: &Question, prepared: Prepared, bar: &Bar) -> Result<Diagnosed, Failure> {
+    let Prepared { identify, variation, unseen, starts } = prepared;
     let mut notes: Vec<String> = identify.iter().chain(&unseen).filter_map(pipeline::settled).collect();
     notes.extend(starts.into_iter().map(|ExcludedSpan { run, from, to }| {
         format!("run {run}, {from:.2} to {to:.2} s: left out, for the motion of other runs does not repeat so early")
@@ -66,7 +81,7 @@ pub fn run(question: &Question) -> Result<Diagnosed, Failure> {
         came: &variation.came(&identify),
     };
     bar.busy("building candidates");
-    let watch = search_on(&bar);
+    let watch = search_on(bar);
     let torque_limits = question.robot.limits.tau[..question.robot.chain.len()].to_vec();
     let settings = plumbline_diagnose::Settings { judged_by: question.of, torque_limits, ..question.diagnosis.clone() };
     let outcome = diagnose(&input, &settings, &watch).map_err(Failure::job)?;
@@ -202,7 +217,8 @@ struct Prepared {
     starts: Vec<ExcludedSpan>,
 }
 
-fn prepared(question: &Question) -> Result<Prepared, Failure> {
+/// What happens once is sought in what the plain model leaves, or a model that is `known` already.
+fn prepared(question: &Question, known: Option<&TorqueModel>) -> Result<Prepared, Failure> {
     let settings = Settings { keep_periods: true, ..question.settings.clone() };
     let mut experiments = pipeline::for_estimator(question.identify, &settings, question.options)?;
     let starts = starts(&experiments, question.unseen);
@@ -210,28 +226,33 @@ fn prepared(question: &Question) -> Result<Prepared, Failure> {
     let mut unseen = pipeline::experiments(question.unseen, &Settings { leave_out, ..settings.clone() })?;
     let repeat = |experiment: &Experiment| experiment.repeats.is_some();
     let mut found = Changing::default();
-    let mut plain = identified(question.structure, &experiments)?;
+    let plain = identified(question.structure, &experiments)?;
+    let mut operating_point = question.structure.operating_point(&plain.beta());
+    let mut model = Cow::Borrowed(known.unwrap_or(&plain));
     if experiments.iter().chain(&unseen).any(repeat) {
-        experiments.iter_mut().chain(&mut unseen).for_each(|one| one.follow_own_motion(|motion| plain.predict(motion)));
-        found = changed(question, &plain, &experiments);
+        experiments.iter_mut().chain(&mut unseen).for_each(|one| one.follow_own_motion(|motion| model.predict(motion)));
+        let changed = |operating_point: &OperatingPoint, model: &TorqueModel, experiments: &[Experiment]| {
+            changing(operating_point, &trials(experiments, question.identify), |motion| model.predict(motion))
+        };
+        found = changed(&operating_point, &model, &experiments);
         let without = found.before_steps(&trials(&experiments, question.identify));
-        if !without.is_empty() {
+        if !without.is_empty() && known.is_none() {
             // What came is in the model of all runs in part, and the arm gave way as it came: both are judged again by the arm as it was before.
             let before = identified(question.structure, &without)?;
             let difference = |motion: &Motion| before.predict(motion) - plain.predict(motion);
             experiments.iter_mut().for_each(|experiment| experiment.follow_own_motion(difference));
-            plain = before;
-            found = changed(question, &plain, &experiments);
+            operating_point = question.structure.operating_point(&before.beta());
+            model = Cow::Owned(before);
+            found = changed(&operating_point, &model, &experiments);
         }
         if !found.leave_out.is_empty() {
             let leave_out = settings.leave_out.iter().chain(&found.leave_out).cloned().collect();
             let settings = Settings { leave_out, ..settings };
             experiments = pipeline::for_estimator(question.identify, &settings, question.options)?;
-            experiments.iter_mut().for_each(|one| one.follow_own_motion(|motion| plain.predict(motion)));
+            experiments.iter_mut().for_each(|one| one.follow_own_motion(|motion| model.predict(motion)));
         }
     }
-    let operating_point = question.structure.operating_point(&plain.beta());
-    let predict = |motion: &Motion| plain.predict(motion);
+    let predict = |motion: &Motion| model.predict(motion);
     add_once(&mut found, &trials(&experiments, question.identify), &operating_point, predict);
     cleaned(&mut experiments, &found, &operating_point);
     without_base_motions(&mut unseen, &found, &operating_point, predict);
@@ -250,12 +271,6 @@ fn starts(identified: &[Experiment], unseen: &[&Run]) -> Vec<ExcludedSpan> {
     let to = identified.iter().map(|experiment| experiment.settling).reduce(f64::min).unwrap_or(0.0);
     let runs = unseen.iter().filter(|run| to > 0.0 && run.data.period.is_none());
     runs.map(|run| ExcludedSpan { run: run.data.name.clone(), from: 0.0, to }).collect()
-}
-
-/// What differs between the periods of runs that follow their own motion, by their plain model.
-fn changed(question: &Question, plain: &TorqueModel, experiments: &[Experiment]) -> Changing {
-    let operating_point = question.structure.operating_point(&plain.beta());
-    changing(&operating_point, &trials(experiments, question.identify), |motion| plain.predict(motion))
 }
 
 /// The rigid bodies and the friction as a plain identification finds them. Weights matter little for the gravity columns, the shape of friction and
@@ -304,7 +319,7 @@ mod tests {
                 diagnosis: &plumbline_diagnose::Settings::default(),
                 of: Of::Filtered,
             };
-            let Prepared { identify: identified, unseen, .. } = prepared(&question).unwrap();
+            let Prepared { identify: identified, unseen, .. } = prepared(&question, None).unwrap();
             let edge = unseen[0].motion.start;
             let out = unseen[0].resting().iter().take_while(|out| **out).count();
             let least = identified.iter().map(|one| one.settling).fold(f64::INFINITY, f64::min);

@@ -18,6 +18,8 @@ use std::thread::JoinHandle;
 const RETURN_S: f64 = 2.0;
 /// Time of a motion on which an earlier model holds again, where nothing explains what came \[s\].
 const HELD_S: f64 = 4.0;
+/// Samples of a search, as a ratio to those of the one before.
+const GROWTH: f64 = 1.5;
 /// Models that an arm may come back to.
 const MAX_MODELS: usize = 32;
 
@@ -53,7 +55,7 @@ pub(super) struct Search {
 }
 
 impl Live {
-    /// Looks for the change: first whether an earlier model holds again, then among the known effects, again whenever there are twice as many samples
+    /// Looks for the change: first whether an earlier model holds again, then among the known effects, again whenever there are half as many samples more
     /// since it came. What was found is refined like that.
     pub(super) fn search(&mut self) -> Result<Option<OfferedModel>, Failure> {
         if let Some(offer) = self.came_back()? {
@@ -83,9 +85,11 @@ impl Live {
         if let Some(offer) = if found { None } else { self.earlier(change.since, after, Watch::floor)? } {
             return Ok(Some(offer));
         }
-        let wanted = if change.doubted.is_some() { change.wanted } else { 2.0 * change.wanted };
-        self.change = (change.wanted < REFINED_S).then_some(Change { wanted, doubted: None, ..change });
-        if !self.begin_search(change, after) {
+        if self.begin_search(change, after) {
+            let wanted = if change.doubted.is_some() { change.wanted } else { GROWTH * change.wanted };
+            self.change = (change.wanted < REFINED_S).then_some(Change { wanted, doubted: None, ..change });
+        } else {
+            // Where the arm rested too long for a search, the next samples will do.
             self.is_another(change);
         }
         self.collect(self.wait_for_search)

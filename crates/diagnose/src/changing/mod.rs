@@ -147,19 +147,24 @@ pub fn changing(
     let first = Trial::begin_of(trials);
     let mut records: Vec<Record> =
         trials.iter().filter_map(|trial| Record::of(trial.experiment, trial.start - first)).collect();
-    for trial in trials {
-        let unmodelled = || &trial.experiment.tau - predict(&trial.experiment.motion);
-        let (contacts, left_out) = once::contacts(trial.experiment, operating_point, unmodelled);
-        // The other period deviates too, and all of that would look like something that came.
-        let record = records.iter_mut().find(|record| std::ptr::eq(record.experiment, trial.experiment));
-        record.into_iter().for_each(|record| record.mask_spans(&left_out));
-        found.contacts.extend(contacts);
+    // A contact would be taken for steps of friction and offset.
+    let mut events = parallel(&records, threads(), |record| events::passing(record, operating_point, EVENT_MARGIN_S));
+    let mut touched = once::contacts_of(trials, operating_point, &[], &predict);
+    let mut never = without_contacts(&records, &touched);
+    let (mut courses, mut passing) = courses_without(&events, &never, &mut records, operating_point);
+    // And what came is no contact where no other period has it yet.
+    if !touched.is_empty() && !courses.steps.is_empty() {
+        let left = once::contacts_of(trials, operating_point, &courses.steps, &predict);
+        if left.len() < touched.len() {
+            touched = left;
+            never = without_contacts(&records, &touched);
+            (courses, passing) = courses_without(&events, &never, &mut records, operating_point);
+        }
+    }
+    for (contact, left_out) in touched {
+        found.contacts.push(contact);
         found.leave_out.extend(left_out);
     }
-    // A contact would be taken for steps of friction and offset.
-    let never: Vec<Vec<bool>> = records.iter().map(|record| record.masked.clone()).collect();
-    let mut events = parallel(&records, threads(), |record| events::passing(record, operating_point, EVENT_MARGIN_S));
-    let (mut courses, mut passing) = courses_without(&events, &never, &mut records, operating_point);
     // An arm gives way under a tool that is picked up: that is no contact but a part of the step, which is sought once more in all of its samples.
     let own =
         |event: &Event, record: &Record| courses.steps.iter().any(|step| step.has(event, record, 2.0 * EVENT_MARGIN_S));
@@ -234,6 +239,16 @@ pub fn changing(
     found.spared = too_much.map(|record| record.experiment.name.clone()).collect();
     found.leave_out.retain(|one| !found.spared.contains(&one.run));
     found
+}
+
+/// The rows of each record that are masked or have one of these contacts: the other period deviates there too, and all of that would look like something that
+/// came.
+fn without_contacts(records: &[Record], contacts: &[(Contact, Vec<ExcludedSpan>)]) -> Vec<Vec<bool>> {
+    let of_run = |record: &Record| {
+        let own = contacts.iter().filter(|(contact, _)| contact.run == record.experiment.name);
+        own.fold(record.masked.clone(), |masked, (_, spans)| record::either(&masked, &record.rows_in(spans)))
+    };
+    records.iter().map(of_run).collect()
 }
 
 /// What differs between the periods where they don't have these events, and without samples that `never` count; and the rows of the events.

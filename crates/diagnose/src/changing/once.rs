@@ -2,11 +2,15 @@
 
 use super::contact::{self, Contact, Noise};
 use super::record::{Record, SMOOTHED_S, blocks, spread};
+use super::step::Step;
 use super::transient::{self, Event};
 use super::{EVENT_MARGIN_S, left_out};
+use crate::evidence::Trial;
 use nalgebra::DMatrix;
 use plumbline_identify::{ExcludedSpan, Experiment, Repeats};
+use plumbline_model::term::Motion;
 use plumbline_model::term::effect::OperatingPoint;
+use std::borrow::Cow;
 
 /// Largest number of periods without a majority.
 pub(super) const MAX_PERIODS: usize = 2;
@@ -14,12 +18,34 @@ pub(super) const MAX_PERIODS: usize = 2;
 /// Largest energy of another event, or of another period at the same time, as a share of the contact's.
 const MAX_OTHERS_RATIO: f64 = 0.5;
 
-/// Contacts and the stretches to be left out, by what the plain model leaves of the mean torques, N x n \[Nm\].
-pub(super) fn contacts(
+/// Contacts, each with the stretches to be left out, by what the model that is `predict`ed with and `steps` leave.
+pub(super) fn contacts_of(
+    trials: &[Trial],
+    operating_point: &OperatingPoint,
+    steps: &[Step],
+    predict: &impl Fn(&Motion) -> DMatrix<f64>,
+) -> Vec<(Contact, Vec<ExcludedSpan>)> {
+    let of_run = |trial: &Trial| {
+        let own = steps.iter().filter(|step| step.run == trial.experiment.name);
+        let experiment = own.fold(Cow::Borrowed(trial.experiment), |mut experiment, step| {
+            let mean = step.of_mean(&experiment);
+            let samples = experiment.motion.samples();
+            let deviations = experiment.repeats.as_ref().map(|repeats| step.at_the_samples_of(repeats, samples));
+            deviations.inspect(|torque| experiment.to_mut().take_off_deviations(torque));
+            mean.inspect(|torque| experiment.to_mut().take_off(torque));
+            experiment
+        });
+        contacts(&experiment, operating_point, || &experiment.tau - predict(&experiment.motion))
+    };
+    trials.iter().flat_map(of_run).collect()
+}
+
+/// The same of one run, by what is unmodelled of the mean torques, N x n \[Nm\].
+fn contacts(
     experiment: &Experiment,
     operating_point: &OperatingPoint,
     unmodelled: impl FnOnce() -> DMatrix<f64>,
-) -> (Vec<Contact>, Vec<ExcludedSpan>) {
+) -> Vec<(Contact, Vec<ExcludedSpan>)> {
     let Some(mut record) = Record::of(experiment, 0.0) else { return Default::default() };
     if record.has_majority(0..record.tau.nrows()) {
         return Default::default();
@@ -59,9 +85,8 @@ pub(super) fn contacts(
     }
     // Where as much happens that is no contact, the model lacks something.
     touched.retain(|(energy, ..)| others < MAX_OTHERS_RATIO * energy);
-    let events = touched.iter().map(|(_, event, _)| event);
-    let spans = left_out(&record, &transient::mask(&record, events, EVENT_MARGIN_S));
-    (touched.into_iter().map(|(.., contact)| contact).collect(), spans)
+    let spans = |event: &Event| left_out(&record, &transient::mask(&record, [event], EVENT_MARGIN_S));
+    touched.into_iter().map(|(_, event, contact)| (contact, spans(&event))).collect()
 }
 
 /// The same of a run without repeats.
@@ -82,7 +107,6 @@ pub(super) fn contacts_of_one_period(
     let mut experiment = experiment.clone();
     experiment.repeats = Some(repeats);
     // What is there when the run begins or ends may be no contact but what came within the run, or went.
-    let mut found = contacts(&experiment, operating_point, || unmodelled).0;
-    found.retain(|contact| contact.at_ends == [false; 2]);
-    found
+    let found = contacts(&experiment, operating_point, || unmodelled).into_iter().map(|(contact, _)| contact);
+    found.filter(|contact| contact.at_ends == [false; 2]).collect()
 }

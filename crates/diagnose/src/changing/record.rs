@@ -157,11 +157,10 @@ impl Record<'_> {
         true
     }
 
-    /// Lets the samples in these stretches of the run not count.
-    pub fn mask_spans(&mut self, spans: &[ExcludedSpan]) {
-        let out = |row: usize| spans.iter().any(|span| (span.from..span.to).contains(&self.time(row)));
-        let more: Vec<bool> = (0..self.masked.len()).map(out).collect();
-        self.mask(either(&self.masked, &more));
+    /// Whether each row is in one of these stretches of the run.
+    pub fn rows_in(&self, spans: &[ExcludedSpan]) -> Vec<bool> {
+        let inside = |row: usize| spans.iter().any(|span| (span.from..span.to).contains(&self.time(row)));
+        (0..self.masked.len()).map(inside).collect()
     }
 
     /// A signal, P N x n, behind a low-pass; samples that are not in the mean have no part in it.

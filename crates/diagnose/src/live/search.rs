@@ -1,13 +1,14 @@
 //! What changed: the search since a model was lost.
 //!
-//! The search of [`mod@crate::reference`] goes over all samples since the change, again whenever there are twice as many; the last part of them takes no
-//! part in the search and judges what was found.
+//! The search of [`mod@crate::reference`] goes over all samples since the change, again whenever there are half as many more; the last part of them takes
+//! no part in the search and judges what was found.
 
 use super::watch::{Floor, holds};
-use super::{LOST_RATIO, inside, residual, rms};
+use super::{LOST_RATIO, inside, residual, rms, stretches};
 use crate::evidence::Trial;
 use crate::input::Settings;
 use crate::reference::{self, Change};
+use crate::select::{MAX_RIVAL_SCORE_GAP, TIE_RATIO};
 use plumbline_core::symmetric_eigen;
 use plumbline_identify::Experiment;
 use plumbline_model::{ModelError, TorqueModel};
@@ -64,15 +65,28 @@ pub fn search(
     let with = |changes: Vec<Change>| reference::extended(lost, &changes).ok().map(|model| (changes, model));
     let usual = |motion: &Experiment, model: &TorqueModel| holds(model, motion, floor, 0.0);
     let explains = |(_, model): &(Vec<Change>, TorqueModel)| usual(find, model) && usual(judge, model);
-    let mut alone =
-        reference::single_changes(lost, &trials, settings).into_iter().filter_map(|change| with(vec![change]));
+    let singles = reference::single_changes(lost, &trials, settings);
+    let best = singles.iter().map(|change| change.found.score).fold(0.0, f64::max);
+    let (near, far): (Vec<Change>, Vec<Change>) =
+        singles.into_iter().partition(|change| change.found.score >= TIE_RATIO * best);
+    let alone = |changes: Vec<Change>| changes.into_iter().filter_map(|change| with(vec![change])).filter(explains);
+    // The search does not know the noise; what is usual tells more of what is nearly as good. Of what is likely then, the simplest.
+    let fit = |(changes, model): &(Vec<Change>, TorqueModel)| {
+        let numbers = changes.iter().map(|change| change.parameters.len()).sum();
+        floor.fit(&[stretches(model, find), stretches(model, judge)].concat(), numbers)
+    };
+    let likely = || {
+        let fitted: Vec<_> = alone(near).map(|one| (fit(&one), one)).collect();
+        let best = fitted.iter().map(|(fit, _)| *fit).fold(f64::NEG_INFINITY, f64::max);
+        fitted.into_iter().find(|(fit, _)| *fit >= best - 0.5 * MAX_RIVAL_SCORE_GAP).map(|(_, one)| one)
+    };
     // What alone would not double the error is not named beside others.
     let least = |usual: &f64| (LOST_RATIO * LOST_RATIO - 1.0).sqrt() * usual;
     let seen = Settings { usual: floor.usual.iter().map(least).collect(), ..settings.clone() };
     let several = || with(reference::changes(lost, &trials, &seen, &|_| {}).effects);
     let error = |model: &TorqueModel| rms(&residual(model, judge), inside(judge));
     let (before, now) = (error(lost), error(served));
-    let Some((effects, extended)) = alone.find(explains).or_else(several) else {
+    let Some((effects, extended)) = likely().or_else(|| alone(far).next()).or_else(several) else {
         return Found::Nothing { tried: 0, before: now };
     };
     let after = error(&extended);

@@ -105,6 +105,18 @@ impl Floor {
         self.usual[joint] = usual;
     }
 
+    /// How well a model with so many numbers of its own explains stretches with these RMS: their log likelihood if the error is as usual, less half of the
+    /// logarithm of their degrees of freedom for each number.
+    pub(super) fn fit(&self, stretches: &[Vec<f64>], numbers: usize) -> f64 {
+        let joints = || self.usual.iter().zip(&self.freedom).enumerate();
+        let of_joint = |rms: &[f64], (joint, (usual, freedom)): (usize, (&f64, &f64))| {
+            0.5 * freedom * (rms[joint] / usual.max(f64::MIN_POSITIVE)).powi(2) / UNSEEN_RATIO
+        };
+        let lost: f64 = stretches.iter().flat_map(|rms| joints().map(|joint| of_joint(rms, joint))).sum();
+        let freedom = stretches.len() as f64 * self.freedom.iter().sum::<f64>();
+        -lost - 0.5 * numbers as f64 * freedom.max(1.0).ln()
+    }
+
     /// Log likelihood ratio of a doubled error in a stretch with this RMS.
     fn ratio(&self, joint: usize, rms: f64) -> f64 {
         let square = (rms / self.usual[joint].max(f64::MIN_POSITIVE)).powi(2) / UNSEEN_RATIO;
@@ -278,6 +290,19 @@ mod tests {
     use rand_distr::StandardNormal;
 
     const JOINTS: usize = 7;
+
+    #[test]
+    fn a_fit_pays_for_what_it_leaves_and_for_its_numbers() {
+        let mut rng = ChaCha8Rng::seed_from_u64(61);
+        let mut stretches = |count: usize| -> Vec<Vec<f64>> { (0..count).map(|_| stretch(&mut rng, 4, 0.1)).collect() };
+        let (floor, own) = (Floor::from_stretches(&stretches(60)), stretches(40));
+        let more: Vec<Vec<f64>> = own.iter().map(|rms| [&[1.5 * rms[0]], &rms[1..]].concat()).collect();
+        let cost = floor.fit(&own, 1) - floor.fit(&own, 3);
+        assert!((3.0..10.0).contains(&cost), "{cost}");
+        // In one joint half as much again.
+        let gap = floor.fit(&own, 1) - floor.fit(&more, 1);
+        assert!((15.0..100.0).contains(&gap), "{gap}");
+    }
 
     /// RMS of stretches of noise with `freedom` degrees of freedom and this size, per joint.
     fn stretch(rng: &mut ChaCha8Rng, freedom: usize, size: f64) -> Vec<f64> {

@@ -4,7 +4,7 @@ use plumbline_diagnose::live::{self, Floor, Found, Remedy};
 use plumbline_diagnose::reference::{Change, Changes, between_sessions, changes, extended, single_changes};
 use plumbline_diagnose::{Settings, Trial};
 use plumbline_identify::solve::identify;
-use plumbline_identify::{Experiment, validate};
+use plumbline_identify::{Experiment, Run, validate};
 use plumbline_model::{BaseKind, Chain, Mounting, Reduction, Robot, Structure, TorqueModel};
 use plumbline_sim::Truth;
 use plumbline_testkit::scene::lab::{Noise, Period, period, plans};
@@ -158,6 +158,36 @@ fn a_change_is_found_alone_and_only_above_what_the_model_lacks_by_itself() {
         changes(stored(), &trials, &settings, &|_| {}).effects.len()
     };
     assert_eq!([found(0.1), found(50.0)], [1, 0]);
+}
+
+/// A hose that pulls with 1 Nm and a little more where it is stretched: the pull alone takes most of the error in a motion without repeats, whose noise
+/// is unknown. What is usual tells that something is left.
+#[test]
+fn what_is_usual_tells_two_changes_apart_that_are_nearly_as_good() {
+    let once = |truth: &Truth, seed: u64| -> Vec<Experiment> {
+        let [_, plans] = plans();
+        let of = |(k, plan): (u64, _)| {
+            let period: Period = period(chain(), truth, plan, Mounting::WALL, "run");
+            let run = period.record(truth, 2, NOISE, seed + k);
+            Experiment::prepare(&Run { period: None, ..run }, &plumbline_identify::Settings::default()).unwrap()
+        };
+        (0..).zip(&plans).take(2).map(of).collect()
+    };
+    let floor = Floor::of(stored(), &once(&truth(""), 507)[1]);
+    for (stiffness, name) in [(0.05, "torque-offset"), (0.2, "spring")] {
+        let rest = -1.7 - 1.0 / stiffness;
+        let hose = format!("[[effect]]\nid = \"spring\"\njoint = 4\nstiffness = {stiffness}\nrest = {rest}\n");
+        let new = once(&truth(&hose), 1107);
+        let first = single_changes(stored(), &[Trial::alone(&new[0])], &settings());
+        assert_eq!(first[0].spec.family, "torque-offset");
+        let found = live::search(stored(), stored(), &new[0], &new[1], &floor, &settings());
+        let Found::Remedy(remedy) = found else { panic!("{found:?}") };
+        let [change] = &remedy.changes[..] else { panic!("{:?}", remedy.changes) };
+        assert_eq!(change.spec.family, name, "{}", change.line());
+        let own = &change.parameters[0];
+        let off = (own.value - stiffness) / own.std.unwrap();
+        assert!(name != "spring" || off.abs() < 3.0, "{}", change.line());
+    }
 }
 
 #[test]

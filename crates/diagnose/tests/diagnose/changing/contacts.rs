@@ -195,6 +195,29 @@ fn a_contact_is_found_where_all_but_two_periods_are_left_out() {
     assert!(contact.link == 5 && (contact.force - force).norm() < 0.25 * force.norm(), "{contact:?}");
 }
 
+/// Of three periods the first is not settled for 2.5 s: there one has the load, and one has not.
+#[test]
+fn what_is_picked_up_is_no_contact_where_no_other_period_has_it() {
+    let stage = stage();
+    let weight = 0.3 * stage.periods[0].0.mounting.gravity();
+    let runs = recorded_periods(1, 3, 75, |at, tau| {
+        let own = of_force(
+            &stage.chain,
+            &at.q,
+            6,
+            Vector3::new(0.0, 0.02, 0.15),
+            if at.t < 14.03 { Vector3::zeros() } else { weight },
+        );
+        own.iter().zip(tau).for_each(|(own, tau)| *tau += own);
+    });
+    let unsettled = ExcludedSpan { run: runs[0].name.clone(), from: 0.0, to: 2.5 };
+    let experiments = prepared(&runs, &Settings { leave_out: vec![unsettled], ..kept() });
+    let found = changing(&stage.operating_point, &Trial::in_turn(&experiments), |motion| stage.plain(motion));
+    assert!(found.contacts.is_empty(), "{:?}", found.contacts);
+    let [step] = &found.steps[..] else { panic!("{:?}", found.steps) };
+    assert!(step.spec.family == "payload" && (step.time - 14.03).abs() < 0.1, "{step:?}");
+}
+
 #[test]
 fn a_contact_shows_behind_noise_of_high_frequency() {
     let (point, force) = (Vector3::new(0.05, -0.04, 0.02), Vector3::new(4.0, -7.0, 5.0));
