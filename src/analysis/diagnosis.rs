@@ -53,15 +53,15 @@ pub fn run(question: &Question) -> Result<Diagnosed, Failure> {
     let bar = progress::bar("diagnosing");
     bar.busy("preparing the runs");
     let first = prepared(question, None)?;
-    let touched = first.variation.contacts.clone();
+    let contacts = first.variation.contacts.len();
     let found = diagnosed(question, first, &bar)?;
     // What a contact was found by may be an effect that the plain model lacks.
     let acts = found.block.effects.iter().any(|effect| effect.acts.is_some());
-    if touched.is_empty() || acts || !found.block.effects.iter().any(|effect| effect.in_model) {
+    if contacts == 0 || acts || !found.block.effects.iter().any(|effect| effect.in_model) {
         return Ok(found);
     }
     let again = prepared(question, Some(&found.after.model))?;
-    if again.variation.contacts.len() < touched.len() { diagnosed(question, again, &bar) } else { Ok(found) }
+    if again.variation.contacts.len() < contacts { diagnosed(question, again, &bar) } else { Ok(found) }
 }
 
 fn diagnosed(question: &Question, prepared: Prepared, bar: &Bar) -> Result<Diagnosed, Failure> {

@@ -417,9 +417,7 @@ pub fn cleaned(experiments: &mut [Experiment], found: &Changing, operating_point
             if step.run != experiment.name {
                 continue;
             }
-            let samples = experiment.motion.samples();
-            let torque = experiment.repeats.as_ref().map(|repeats| step.at_the_samples_of(repeats, samples));
-            torque.inspect(|torque| experiment.take_off_deviations(torque));
+            step.take_off_deviations(experiment);
             let torque = step.of_mean_by_own_motion(experiment);
             torque.inspect(|torque| experiment.take_off(torque));
         }

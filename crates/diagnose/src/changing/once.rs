@@ -29,9 +29,7 @@ pub(super) fn contacts_of(
         let own = steps.iter().filter(|step| step.run == trial.experiment.name);
         let experiment = own.fold(Cow::Borrowed(trial.experiment), |mut experiment, step| {
             let mean = step.of_mean(&experiment);
-            let samples = experiment.motion.samples();
-            let deviations = experiment.repeats.as_ref().map(|repeats| step.at_the_samples_of(repeats, samples));
-            deviations.inspect(|torque| experiment.to_mut().take_off_deviations(torque));
+            step.take_off_deviations(experiment.to_mut());
             mean.inspect(|torque| experiment.to_mut().take_off(torque));
             experiment
         });

@@ -47,9 +47,11 @@ impl Step {
         self.run == record.experiment.name && around.contains(&self.time)
     }
 
-    /// What it does to the deviations of an experiment's periods, at its own samples \[Nm\].
-    pub(super) fn at_the_samples_of(&self, repeats: &Repeats, samples: usize) -> DMatrix<f64> {
-        self.resampled(&self.torque, repeats, samples)
+    /// Takes what it does off the deviations of an experiment's periods.
+    pub(super) fn take_off_deviations(&self, experiment: &mut Experiment) {
+        let samples = experiment.motion.samples();
+        let torque = experiment.repeats.as_ref().map(|repeats| self.resampled(&self.torque, repeats, samples));
+        torque.inspect(|torque| experiment.take_off_deviations(torque));
     }
 
     /// What it does to the mean of an experiment's periods, N x n \[Nm\]; `None` without repeats.

@@ -5,6 +5,7 @@ use super::super::sync::act_before_access;
 use super::*;
 use crate::guard::GuardSettings;
 use crate::recorder::{RingSink, ring};
+use plumbline_core::Fault;
 use std::cell::Cell;
 use std::rc::Rc;
 use std::sync::Arc;
