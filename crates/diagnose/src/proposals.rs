@@ -45,6 +45,11 @@ impl Scored {
         let usual = self.item.spec.family().is_ok_and(|family| family.rare.in_every_arm);
         (self.tried.cross.width * self.item.joints().len(), self.item.parameters(), !usual)
     }
+
+    /// Whether the gain pays more than twice for parameters and choice.
+    pub(super) fn is_clear(&self) -> bool {
+        self.score > self.penalty
+    }
 }
 
 impl Search<'_> {

@@ -159,8 +159,8 @@ impl<'a> Search<'a> {
         path.push(step);
     }
 
-    /// Whether a candidate passes every gate. An effect of [most joints](State::has_in_most_joints) has to show alone. What the identified runs hardly show,
-    /// the unseen ones may [prove](Deciding::prove).
+    /// Whether a candidate passes every gate. An effect of [most joints](State::has_in_most_joints) has to show alone, as has one that another joint has
+    /// where its evidence is [twice its cost](Scored::is_clear). What the identified runs hardly show, the unseen ones may [prove](Deciding::prove).
     fn passes(&self, at: &At<'_, 'a>, one: &Scored) -> bool {
         if one.score <= 0.0 || !gates::shows(self.evidence(), &one.item) {
             return false;
@@ -168,7 +168,8 @@ impl<'a> Search<'a> {
         let state = at.state;
         let relevance = gates::relevance(self.evidence(), state, &one.tried, &one.item);
         let of_most = state.has_in_most_joints(&one.item);
-        let matters = of_most || gates::matters(self.evidence(), &relevance, self.settings);
+        let of_another = self.evidence().repeats() && state.has_in_another_joint(&one.item) && one.is_clear();
+        let matters = of_most || of_another || gates::matters(self.evidence(), &relevance, self.settings);
         if !matters && self.deciding.is_none() {
             return false;
         }

@@ -157,7 +157,7 @@ impl<'a> Unseen<'a> {
 
     /// Mean square of a residual above that of the noise, over that of the noise; nothing where that is not known.
     fn lack(&self, joint: usize, residual: &DVector<f64>) -> Option<f64> {
-        let floor = self.evidence.floor(joint).filter(|_| self.repeats)?.powi(2);
+        let floor = self.evidence.floor(joint)?.powi(2);
         Some((mean_square(self.evidence, joint, residual) - floor).max(0.0) / floor)
     }
 
@@ -175,11 +175,11 @@ impl<'a> Unseen<'a> {
         (0..self.evidence.joints()).map(share).collect()
     }
 
-    /// What one model takes from another one's residuals, per joint; `None` where either the residual or what should be taken is too small, or the noise is
-    /// unknown.
+    /// What one model takes from another one's residuals, per joint; `None` where either the residual or what should be taken is too small, or the runs do
+    /// not repeat.
     pub fn taken(&self, before: &Residuals, after: &Residuals) -> Vec<Option<Taken>> {
         let of_joint = |joint: usize| {
-            let lack = self.counting_lack(joint, &before.updated[joint])?;
+            let lack = self.counting_lack(joint, &before.updated[joint]).filter(|_| self.repeats)?;
             let floor = self.evidence.floor(joint)?;
             let right =
                 mean_square(self.evidence, joint, &(&before.known[joint] - &after.known[joint])) / floor.powi(2);

@@ -354,6 +354,13 @@ impl JointFacts {
     pub fn lacking_after(&self) -> bool {
         JointFacts::lacking(self.lack_of_fit.after, self.unmodelled.after, self.threshold)
     }
+
+    /// Share of the unmodelled power of the identified runs that the effects take; `None` where little was unmodelled.
+    pub fn explained(&self) -> Option<f64> {
+        let BeforeAfter { before, after } = self.unmodelled;
+        let before = before.filter(|before| Some(*before) > self.threshold)?;
+        Some(1.0 - (after? / before).powi(2))
+    }
 }
 
 impl BeforeAfter {
