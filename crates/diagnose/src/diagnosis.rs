@@ -440,7 +440,8 @@ fn screened(
         let little =
             floor.zip(unmodelled).is_some_and(|(floor, unmodelled)| unmodelled <= MAX_LEFT_OVER_FLOOR_RATIO * floor);
         // Unseen runs may have nothing to explain, as where a payload is picked up in the first run and stays.
-        let explained = little && adequacy[joint].or(facts.explained()).is_some_and(|share| share >= MIN_EXPLAINED_RATIO);
+        let explained =
+            little && adequacy[joint].or(facts.explained()).is_some_and(|share| share >= MIN_EXPLAINED_RATIO);
         if evidence.repeats() && (explained || !facts.lacking_after()) {
             continue;
         }

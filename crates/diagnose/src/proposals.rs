@@ -18,6 +18,8 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// Candidates that are fitted in full at each step.
 const MAX_SHORTLISTED: usize = 16;
+/// Starts of a search for several settings: the likelihood has more than one maximum, and what it is largest at may be no plausible effect.
+const MAX_STARTS: usize = 3;
 /// Smallest gain at the start of a search for several settings, as a share of the penalty.
 const MIN_START_GAIN_RATIO: f64 = 0.5;
 /// Resolution of the begin of an effect in a motion that does not repeat \[s\].
@@ -100,20 +102,21 @@ impl Search<'_> {
         });
         let mut order: Vec<usize> = (0..self.library.len()).filter(|&k| screened[k].is_finite()).collect();
         order.sort_by(|&a, &b| screened[b].total_cmp(&screened[a]));
-        let mut short: Vec<&Candidate> = Vec::new();
+        let mut short: Vec<Vec<&Candidate>> = Vec::new();
         for k in order {
-            if !short.iter().any(|one| one.alike(&self.library[k])) {
-                short.push(&self.library[k]);
-            }
-            if short.len() == MAX_SHORTLISTED {
-                break;
+            let item = &self.library[k];
+            match short.iter().position(|starts| starts[0].alike(item)) {
+                Some(of) if short[of].len() < starts_of(item) => short[of].push(item),
+                None if short.len() < MAX_SHORTLISTED => short.push(vec![item]),
+                _ => {}
             }
         }
         let (done, of) = (AtomicUsize::new(0), short.len());
-        let tried = parallel(&short, threads, |item| {
-            let scored = self.score(state, &self.refined(state, self.rebuilt(item)));
+        let tried = parallel(&short, threads, |starts| {
+            let scored = starts.iter().filter_map(|item| self.score(state, &self.refined(state, self.rebuilt(item))));
+            let best = scored.max_by(|a, b| a.score.total_cmp(&b.score));
             progress(Progress::Candidates { done: done.fetch_add(1, Ordering::Relaxed) + 1, of });
-            scored
+            best
         });
         let mut scored: Vec<Scored> = tried.into_iter().flatten().collect();
         scored.sort_by(|a, b| b.score.total_cmp(&a.score));
@@ -213,4 +216,9 @@ impl Search<'_> {
 /// A value between the setting's limits, whatever rounding does.
 pub(super) fn inside(setting: &Setting, share: f64) -> f64 {
     setting.at(share.clamp(0.0, 1.0)).clamp(setting.low, setting.high)
+}
+
+/// Largest number of starts that are tried for an effect.
+fn starts_of(item: &Candidate) -> usize {
+    if item.spec.settings.len() > 1 { MAX_STARTS } else { 1 }
 }
