@@ -19,6 +19,7 @@ import arms
 mujoco.set_mju_user_warning(lambda text: None)  # a simulation that diverges ends with an error here, not in a log file
 
 STEP = 0.0005  # s, of the simulation and the controller
+IMPLICIT = 0.5  # share of the step's end in friction: that of its mean speed, which the positions before and after it have, too
 HOLD = 0.6  # s at rest before the recording begins
 
 # friction forms
@@ -165,13 +166,13 @@ def drive(step, model, data, h, every, q, v, applied, bias, damping, gravity, ma
                 behind = -p[STIFF] * free * (1.0 if bend > 0 else -1.0)
                 grip = p[TWIST_DAMPING] if free > 0 or p[GAP] == 0.0 else 0.02 * p[TWIST_DAMPING]
                 behind -= grip * v[soft]
-                damping[soft] = grip + slope
-                applied[soft] = behind - drag + (grip + slope) * v[soft]
+                damping[soft] = IMPLICIT * (grip + slope)
+                applied[soft] = behind - drag + IMPLICIT * (grip + slope) * v[soft]
                 damping[a] = 0.0
                 applied[a] = command - drag
             else:
-                damping[a] = slope
-                applied[a] = command - drag + slope * v[a]
+                damping[a] = IMPLICIT * slope
+                applied[a] = command - drag + IMPLICIT * slope * v[a]
             load[i] = behind - drag
             before[i] = v[a]
             if k >= 0 and k % every == 0:

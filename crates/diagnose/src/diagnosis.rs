@@ -56,10 +56,6 @@ pub struct Outcome {
     pub unseen: Vec<Experiment>,
 }
 
-/// Smallest share of a joint's unmodelled power that its effects explain, for the joint to count as explained.
-const MIN_EXPLAINED_RATIO: f64 = 0.9;
-/// Largest unmodelled RMS of an explained joint, in units of the noise of the mean period.
-const MAX_LEFT_OVER_FLOOR_RATIO: f64 = 2.5;
 /// Smallest R2 of a residual on its variables for it to count as unexplained, where the noise is unknown.
 const MIN_DEPENDENCE_R2: f64 = 0.25;
 /// Smallest lack of fit for a residual that depends on no variable to count as unexplained.
@@ -151,7 +147,7 @@ pub fn diagnose(input: &Input, settings: &Settings, progress: &Watch) -> Result<
         with_drift.as_ref().map_or(own, |before| own.since(&before[joint]))
     };
     let joints: Vec<JointFacts> = (0..evidence.joints()).map(facts).collect();
-    let screened = screened(&evidence, left, settings, &joints, &adequacy);
+    let screened = screened(&evidence, left, settings, &joints);
     let by_chance = |one: &Residual| !evidence.repeats() && fallback::may_be_chance(&evidence, left, one, settings);
     let unexplained = screened.iter().filter(|one| counts(one, &joints) && !by_chance(one));
     let residuals: Vec<Residual> = unexplained.cloned().collect();
@@ -426,23 +422,10 @@ fn plain_facts(structure: &Structure, trials: &[Trial], settings: &Settings) -> 
 }
 
 /// The residuals of joints in which the model lacks something that no effect explains; where the noise is not known, of all joints.
-fn screened(
-    evidence: &Evidence,
-    state: &State,
-    settings: &Settings,
-    joints: &[JointFacts],
-    adequacy: &[Option<f64>],
-) -> Vec<Residual> {
+fn screened(evidence: &Evidence, state: &State, settings: &Settings, joints: &[JointFacts]) -> Vec<Residual> {
     let mut found = Vec::new();
     for (joint, facts) in joints.iter().enumerate() {
-        // A large explained share may still leave a residual above the noise.
-        let [floor, unmodelled] = [facts.floor_of_mean, facts.unmodelled.after];
-        let little =
-            floor.zip(unmodelled).is_some_and(|(floor, unmodelled)| unmodelled <= MAX_LEFT_OVER_FLOOR_RATIO * floor);
-        // Unseen runs may have nothing to explain, as where a payload is picked up in the first run and stays.
-        let explained =
-            little && adequacy[joint].or(facts.explained()).is_some_and(|share| share >= MIN_EXPLAINED_RATIO);
-        if evidence.repeats() && (explained || !facts.lacking_after()) {
+        if evidence.repeats() && (facts.is_explained() || !facts.lacking_after()) {
             continue;
         }
         found.push(fallback::unexplained(evidence, state, joint, settings));

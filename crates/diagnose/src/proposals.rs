@@ -102,15 +102,7 @@ impl Search<'_> {
         });
         let mut order: Vec<usize> = (0..self.library.len()).filter(|&k| screened[k].is_finite()).collect();
         order.sort_by(|&a, &b| screened[b].total_cmp(&screened[a]));
-        let mut short: Vec<Vec<&Candidate>> = Vec::new();
-        for k in order {
-            let item = &self.library[k];
-            match short.iter().position(|starts| starts[0].alike(item)) {
-                Some(of) if short[of].len() < starts_of(item) => short[of].push(item),
-                None if short.len() < MAX_SHORTLISTED => short.push(vec![item]),
-                _ => {}
-            }
-        }
+        let short = shortlisted(order.into_iter().map(|k| &self.library[k]));
         let (done, of) = (AtomicUsize::new(0), short.len());
         let tried = parallel(&short, threads, |starts| {
             let scored = starts.iter().filter_map(|item| self.score(state, &self.refined(state, self.rebuilt(item))));
@@ -218,7 +210,45 @@ pub(super) fn inside(setting: &Setting, share: f64) -> f64 {
     setting.at(share.clamp(0.0, 1.0)).clamp(setting.low, setting.high)
 }
 
-/// Largest number of starts that are tried for an effect.
-fn starts_of(item: &Candidate) -> usize {
-    if item.spec.settings.len() > 1 { MAX_STARTS } else { 1 }
+/// The first effects of a list, each with the first of its starts.
+fn shortlisted<'a>(candidates: impl Iterator<Item = &'a Candidate>) -> Vec<Vec<&'a Candidate>> {
+    let mut short: Vec<Vec<&Candidate>> = Vec::new();
+    for item in candidates {
+        let most = if item.spec.settings.len() > 1 { MAX_STARTS } else { 1 };
+        match short.iter().position(|starts| starts[0].alike(item)) {
+            Some(of) if short[of].len() < most => short[of].push(item),
+            None if short.len() < MAX_SHORTLISTED => short.push(vec![item]),
+            _ => {}
+        }
+    }
+    short
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Settings;
+    use crate::synthetic::recorded;
+    use plumbline_model::term::effect::family;
+
+    #[test]
+    fn of_sixteen_effects_the_best_starts_are_searched_from() {
+        let families = ["presliding", "stribeck", "backlash", "position-ripple"].map(|id| family(id).unwrap());
+        recorded(2, 61, |_| [0.0; 2]).search(&families, &Settings::default(), |search, _| {
+            let short = shortlisted(search.library.iter());
+            assert!(short.iter().all(|starts| starts.iter().all(|item| item.alike(starts[0]))));
+            let mut seen = [false; 2];
+            for starts in &short {
+                let all: Vec<&Candidate> = search.library.iter().filter(|item| item.alike(starts[0])).collect();
+                let several = starts[0].spec.settings.len() > 1;
+                let expected = &all[..all.len().min(if several { 3 } else { 1 })];
+                assert!(starts.iter().zip(expected).all(|(one, other)| std::ptr::eq(*one, *other)));
+                assert_eq!(starts.len(), expected.len());
+                seen[usize::from(several)] |= all.len() > 3;
+            }
+            assert_eq!(seen, [true; 2], "effects with one setting and with several");
+            let again = search.library.iter().chain(search.library);
+            assert!(shortlisted(again).len() == short.len() && short.len() <= 16);
+        });
+    }
 }

@@ -10,6 +10,8 @@ use super::signal::SignalError;
 use super::signal::resample::{MAX_CURVE_S, Sampling, resample};
 use nalgebra::DMatrix;
 
+/// Time on both sides of a drop-out that tells how far the period's torques are from those of the others \[s\].
+const BESIDE_S: f64 = 0.03;
 /// Longest stretch of lost or replaced samples of an aperiodic run that enters the regression \[s\].
 const MAX_LINE_S: f64 = 0.02;
 
@@ -120,14 +122,17 @@ impl Even {
             let own = spoiled.iter().find(|(own, _)| *own == column).zip(measured.as_ref());
             let mut values = rest.column_mut(column);
             let Some(((_, rows), measured)) = own else {
-                fill(values.as_mut_slice(), &filled, &left_out, samples);
+                fill(values.as_mut_slice(), &filled, &left_out, samples, 1);
                 continue;
             };
             let rows = &on_grid(rows, &run.t, even.values.nrows(), dt)[first..first + whole];
             replaced_rows.iter_mut().zip(rows).for_each(|(replaced, spoiled)| *replaced |= spoiled);
             let measured = measured.values.column(column);
             let measured = &measured.as_slice()[first..first + whole];
-            let of_period = Missing { filled: &filled, spoiled: rows, left_out: &left_out, long: &long, samples, dt };
+            // One sample of a torque has more noise than the mean of a period may have.
+            let beside = if (n..2 * n).contains(&column) { (BESIDE_S / dt).ceil() as usize } else { 1 };
+            let of_period =
+                Missing { filled: &filled, spoiled: rows, left_out: &left_out, long: &long, samples, beside, dt };
             count(column, of_period.repair(values.as_mut_slice(), measured, &mut alone));
         }
         left_out.iter_mut().zip(&alone).for_each(|(left_out, alone)| *left_out |= alone);
@@ -187,33 +192,43 @@ struct Missing<'a> {
     long: &'a [bool],
     /// Samples of a period.
     samples: usize,
+    /// Samples on each side of a gap that tell how the period differs from the others.
+    beside: usize,
     /// Time between them \[s\].
     dt: f64,
 }
 
 impl Missing<'_> {
-    /// Puts into the column what the other periods have there, and returns how many spoiled samples that were. What every period does, and the only
-    /// one, is `measured`. Marks spoiled samples as `alone` of which some other periods have a part and none has all, or, of stretches that are too long for
-    /// a line, which others have that are left out; otherwise the line across it stays.
+    /// Puts into the column what the other periods have there, and returns how many spoiled samples that were: of stretches that are too long for a line
+    /// also what others have that are left out. What every period does, and the only one, is `measured`. Marks spoiled samples as `alone` of which some other
+    /// periods have a part and none has all; otherwise the line across it stays.
     fn repair(&self, values: &mut [f64], measured: &[f64], alone: &mut [bool]) -> usize {
-        let Missing { filled, spoiled, left_out, long, samples, dt } = *self;
+        let Missing { filled, spoiled, left_out, long, samples, beside, dt } = *self;
         let either = |a: &[bool], b: &[bool]| a.iter().zip(b).map(|(a, b)| a | b).collect::<Vec<bool>>();
-        let found = fill(values, &either(filled, spoiled), &either(left_out, spoiled), samples);
+        let found = fill(values, &either(filled, spoiled), &either(left_out, spoiled), samples, beside);
         let rows = spoiled.len();
+        let others =
+            |row: usize| (row % samples..rows).step_by(samples).filter(move |&other| other != row && !long[other]);
+        let settled = |row: usize| others(row).any(|other| !left_out[other]);
+        // A start that has not settled has the course of the torques between both ends.
         let no_line = long_stretches(spoiled.to_vec(), dt, MAX_CURVE_S);
-        let (replaced, open): (Vec<usize>, Vec<usize>) =
-            (0..rows).filter(|&row| spoiled[row]).partition(|&row| found[row]);
-        for row in open {
-            let others = || (row % samples..rows).step_by(samples).filter(|&other| other != row && !long[other]);
-            let any = others().any(|other| !left_out[other]);
-            let one_has_it = others().any(|other| !(spoiled[other] || any && left_out[other]));
+        let open: Vec<bool> = (0..rows).map(|row| no_line[row] && !found[row] && !settled(row)).collect();
+        let at_last = fill(values, &open, &either(long, spoiled), samples, beside);
+        let mut replaced = 0;
+        for row in (0..rows).filter(|&row| spoiled[row]) {
+            if found[row] || at_last[row] {
+                replaced += 1;
+                continue;
+            }
+            let any = settled(row);
+            let one_has_it = others(row).any(|other| !(spoiled[other] || any && left_out[other]));
             if one_has_it && (any || no_line[row]) {
                 alone[row] = true;
             } else if any || rows == samples {
                 values[row] = measured[row];
             }
         }
-        replaced.len()
+        replaced
     }
 }
 

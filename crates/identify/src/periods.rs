@@ -75,9 +75,9 @@ pub fn average(values: &DMatrix<f64>, weights: &[f64], filled: &[bool], samples:
 }
 
 /// Puts into rows of a column that are `missing` what the other periods have there, with the period's own deviation from them on both sides of the gap:
-/// the mean over the periods must not jump where one of them is missing, for a step in positions is a blow in their accelerations. `unusable` rows of
-/// other periods are not taken. Returns whether each missing row was filled.
-pub fn fill(values: &mut [f64], missing: &[bool], unusable: &[bool], samples: usize) -> Vec<bool> {
+/// the mean over the periods must not jump where one of them is missing, for a step in positions is a blow in their accelerations. Of noisy values that deviation
+/// is the mean of as many as `beside` on each side. `unusable` rows of other periods are not taken. Returns whether each missing row was filled.
+pub fn fill(values: &mut [f64], missing: &[bool], unusable: &[bool], samples: usize, beside: usize) -> Vec<bool> {
     let rows = values.len();
     let mut filled = vec![false; rows];
     let mut first = 0;
@@ -102,7 +102,16 @@ pub fn fill(values: &mut [f64], missing: &[bool], unusable: &[bool], samples: us
             sum / donors.len() as f64
         };
         if !donors.is_empty() {
-            let deviations = edges.map(|edge| edge.map(|row| values[row] - mean(values, row)));
+            let told = |row: &usize| {
+                let usable = |&period: &usize| shifted(period, *row).is_some_and(|other| !unusable[other]);
+                !missing[*row] && donors.iter().all(usable)
+            };
+            let left: Vec<usize> = (first.saturating_sub(beside)..first).rev().take_while(told).collect();
+            let right: Vec<usize> = (end..(end + beside).min(rows)).take_while(told).collect();
+            let deviations = [left, right].map(|edge| {
+                let sum: f64 = edge.iter().map(|&row| values[row] - mean(values, row)).sum();
+                (!edge.is_empty()).then(|| sum / edge.len() as f64)
+            });
             let [left, right] = [0, 1].map(|side| deviations[side].or(deviations[1 - side]).unwrap_or(0.0));
             let length = (end - first + 1) as f64;
             for row in first..end {
@@ -390,7 +399,7 @@ mod tests {
             values[row] = 1e6;
             missing[row] = true;
         }
-        let filled = fill(&mut values, &missing, &missing, samples);
+        let filled = fill(&mut values, &missing, &missing, samples, 1);
         assert_eq!(filled, missing);
         // At the end of the record the deviation is that before the gap.
         let apart = |row: usize| (values[row] - clean[row]).abs();
@@ -407,8 +416,26 @@ mod tests {
         unusable[40..60].fill(true);
         let mut alone = clean;
         (alone[33], alone[73]) = (1e6, 1e6);
-        let filled = fill(&mut alone, &missing, &unusable, samples);
+        let filled = fill(&mut alone, &missing, &unusable, samples, 1);
         assert!(!filled[33] && alone[33] == 1e6 && filled[79], "{filled:?}");
+    }
+
+    #[test]
+    fn noise_beside_a_gap_is_not_that_of_one_sample() {
+        // The second of two periods is 0.5 above the first, and lacks 60 samples; one sample of both beside the gap is off by 1.
+        let samples = 200;
+        let clean: Vec<f64> = (0..400).map(|k| if k < samples { 0.0 } else { 0.5 }).collect();
+        let missing: Vec<bool> = (0..400).map(|k| (280..340).contains(&k)).collect();
+        let filled_with = |beside: usize| {
+            let mut values = clean.clone();
+            values[279] += 1.0;
+            values[280..340].fill(9.0);
+            assert_eq!(fill(&mut values, &missing, &missing, samples, beside), missing);
+            (280..340).map(|k| (values[k] - clean[k]).abs()).fold(0.0, f64::max)
+        };
+        assert!(filled_with(1) > 0.9 && filled_with(20) < 0.06, "{} {}", filled_with(1), filled_with(20));
+        // What other gaps or the end of the record leave is enough.
+        assert!(filled_with(500) < 0.06);
     }
 
     #[test]

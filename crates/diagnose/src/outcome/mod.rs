@@ -22,6 +22,10 @@ use std::collections::BTreeMap;
 
 /// Mean square of a residual over that of the noise above which a joint lacks something.
 pub const LACK_OF_FIT_RATIO: f64 = 1.3;
+/// Smallest share of a joint's unmodelled power that its effects explain, for the joint to count as explained.
+const MIN_EXPLAINED_RATIO: f64 = 0.9;
+/// Largest unmodelled RMS of an explained joint, in units of the noise of the mean period.
+const MAX_LEFT_OVER_FLOOR_RATIO: f64 = 2.5;
 
 /// Everything under `diagnosis` in `report.json`, under the names that it has there.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -355,8 +359,15 @@ impl JointFacts {
         JointFacts::lacking(self.lack_of_fit.after, self.unmodelled.after, self.threshold)
     }
 
-    /// Share of the unmodelled power of the identified runs that the effects take; `None` where little was unmodelled.
-    pub fn explained(&self) -> Option<f64> {
+    /// Whether its effects explain it: a large share of what was unmodelled, with little left over.
+    pub fn is_explained(&self) -> bool {
+        let [floor, left] = [self.floor_of_mean, self.unmodelled.after];
+        let little = floor.zip(left).is_some_and(|(floor, left)| left <= MAX_LEFT_OVER_FLOOR_RATIO * floor);
+        little && self.adequacy.or(self.share()).is_some_and(|share| share >= MIN_EXPLAINED_RATIO)
+    }
+
+    /// Share in the identified runs. Unseen ones may have nothing to explain, as where a payload is picked up in the first run and stays.
+    fn share(&self) -> Option<f64> {
         let BeforeAfter { before, after } = self.unmodelled;
         let before = before.filter(|before| Some(*before) > self.threshold)?;
         Some(1.0 - (after? / before).powi(2))

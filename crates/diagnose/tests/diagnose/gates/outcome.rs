@@ -155,6 +155,34 @@ fn a_verdict_says_what_is_left_over() {
 }
 
 #[test]
+fn what_unseen_runs_cannot_tell_the_identified_ones_do() {
+    let identify = recorded(4, 34, torque(12.0, 2.0));
+    let diagnosed = |unseen: &Recorded| {
+        let found = outcome(&identify, unseen, unseen).diagnosis;
+        assert!(found.joints[1].lacking_after(), "{:?}", found.joints[1]);
+        (matches!(found.verdict, Verdict::Diagnosed | Verdict::Ambiguous), found.joints[1].adequacy)
+    };
+    // One run that does not repeat tells it: the noise is known from the others.
+    let (explained, adequacy) = diagnosed(&once(12.0, 134, torque(12.0, 2.0)));
+    assert!(explained && (0.9..1.0).contains(&adequacy.unwrap()), "{adequacy:?}");
+    let (explained, adequacy) = diagnosed(&once(12.0, 134, torque(12.0, 6.0)));
+    assert!(!explained && adequacy.unwrap() < 0.9, "{adequacy:?}");
+    // Where unseen runs have nothing to explain the identified ones tell.
+    let explained = |after: f64, adequacy: Option<f64>| {
+        JointFacts {
+            floor_of_mean: Some(1.0),
+            unmodelled: BeforeAfter::both([6.0, after]),
+            threshold: Some(0.75),
+            adequacy,
+            ..JointFacts::default()
+        }
+        .is_explained()
+    };
+    assert!(explained(1.8, None) && !explained(2.0, None));
+    assert!(explained(2.4, Some(0.91)) && !explained(2.6, Some(0.91)) && !explained(1.8, Some(0.89)));
+}
+
+#[test]
 fn what_follows_no_variable_is_unexplained_from_twice_its_noise_on() {
     let same = |seed, tone: f64| of(seed, (0.0, tone), (0.0, tone), (0.0, tone));
     let little = same(35, 0.9);

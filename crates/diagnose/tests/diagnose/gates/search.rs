@@ -274,6 +274,28 @@ fn what_the_data_shows_but_nobody_needs_is_not_taken() {
     assert_eq!(taken(&select(&recorded(8, 8, constant(1.5 * FLOOR)), &OFFSET, &settings)), [("torque-offset", 2)]);
 }
 
+#[test]
+fn a_small_effect_that_another_joint_has_is_taken_where_its_evidence_is_twice_its_cost() {
+    let settings = Settings::default();
+    let of = |first: f64, second: f64| {
+        let both = recorded(8, 8, move |_| [first * FLOOR, second * FLOOR]);
+        let clear = both.search(&OFFSET, &settings, |search, base| {
+            let first = search.library.iter().find(|item| item.joints() == [0]).unwrap();
+            let state = base.with(&search.problem, first.clone());
+            let second = offset_2(search, &state);
+            let relevance = plumbline_diagnose::relevance(search.problem.evidence, &state, &second.tried, &second.item);
+            assert!(second.score > 0.0 && relevance.rms[1] < 0.6 * FLOOR, "{} {relevance:?}", second.score);
+            second.score > second.penalty
+        });
+        (clear, taken(&select(&both, &OFFSET, &settings)))
+    };
+    let both = vec![("torque-offset", 1), ("torque-offset", 2)];
+    assert_eq!(of(20.0, 0.5), (true, both));
+    assert_eq!(of(20.0, 0.2), (false, vec![("torque-offset", 1)]));
+    // Alone neither is.
+    assert_eq!(of(0.5, 0.5), (true, Vec::new()));
+}
+
 /// A spring of joint 2 that gets tight at a share of the largest position of a run of 40 s that does not repeat.
 fn tight_from(share: f64) -> Recorded {
     let largest = once(40.0, 10, |_| [0.0; 2]).experiments[0].motion.q.column(1).max();
