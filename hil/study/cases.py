@@ -499,9 +499,7 @@ def calibrate(case):
         case.table = start.copy()
         if strength == 0.1:
             case.form = case.conditions["form"] = "tanh"
-            case.table[:, COLUMN["form"]] = plant.TANH
-            for name, value in (("steep", 100.0), ("peak", 0.0), ("power", 1.0)):
-                case.table[:, COLUMN[name]] = value
+            plain_law(case.table)
         else:
             nearer(case.table, start, 0.5 * strength)
     for e in case.effects:
@@ -523,6 +521,12 @@ def calibrate(case):
                 e["size"] = new
     case.conditions["plain_ratio"] = round(float(base.max()), 3)
     return plain
+
+
+def plain_law(table):
+    table[:, COLUMN["form"]] = plant.TANH
+    for name, value in (("steep", 100.0), ("peak", 0.0), ("power", 1.0)):
+        table[:, COLUMN[name]] = value
 
 
 def nearer(table, start, strength):

@@ -2,6 +2,7 @@
 """The second judge of the diagnosis: cases of MuJoCo, which share nothing with the project's own simulation.
 
     judge.py make  FOLDER SEED...  [--clean] [--kinds A,B] [--quick] [--settled]     datasets with truth.json
+    judge.py plain SEED...                       whether arms of the plain law of friction leave nothing
     judge.py judge RESULTS --program PLUMBLINE --from SEED --count N [--clean] [--quick] [--settled] [--keep FOLDER] [--jobs N]
     judge.py again RESULTS KEPT                  scores the kept reports once more, after a change of the rules here
     judge.py table RESULTS [--cases]
@@ -35,6 +36,7 @@ JUDGES_SEEDS = 5000
 NONNEGATIVE = {"mass", "gap", "compliance", "ia", "fp"}
 HARM = 1.02  # of the plain model's held-out error
 OFF = (0.3, 3.0)  # a parameter outside these shares of the true one, by five deviations, is another effect: a payload of -2 kg is none
+PLAIN = 0.2  # floors that the plain model may leave of an arm that has its law of friction, and no noise
 UNSEEN = 2.0  # floors of an unseen run, of as many periods as it has, that "nothing-significant" must not stand beside
 LIMIT = 900  # s for one diagnosis
 # What the friction of an arm truly is, in small: no false finding, but on a clean arm an alarm.
@@ -195,6 +197,21 @@ def one(job):
     return row
 
 
+def plain(args):
+    """Fails where the engine's motion and torques contradict the law that it was given: then every case has an effect that nobody meant."""
+    import cases
+
+    worst = 0.0
+    for seed in args.seeds:
+        case = cases.draw(seed, True)
+        cases.plain_law(case.table)
+        model = cases.Plain(case)
+        left = model.ratios(model.unmodelled(cases.simulate(case, []))).max()
+        print(f"seed {seed}, {case.arm.name}: {left:.3f} floors")
+        worst = max(worst, left)
+    sys.exit(f"judge.py plain: the plain model leaves {worst:.2f} floors of its own law, expected at most {PLAIN}" if worst > PLAIN else 0)
+
+
 def judge(args):
     commit = subprocess.run(["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, cwd=Path(__file__).parent).stdout.strip()
     version = subprocess.run([args.program, "--version"], capture_output=True, text=True).stdout.strip()
@@ -300,6 +317,8 @@ def main():
     make.add_argument("folder")
     make.add_argument("seeds", type=int, nargs="+")
     make.add_argument("--kinds")
+    law = commands.add_parser("plain")
+    law.add_argument("seeds", type=int, nargs="+")
     verdict = commands.add_parser("judge")
     verdict.add_argument("results")
     verdict.add_argument("--program", required=True)
@@ -327,6 +346,8 @@ def main():
         for seed in args.seeds:
             truth = cases.make(seed, args.clean, Path(args.folder) / str(seed), args.kinds.split(",") if args.kinds else None, args.quick, args.settled)
             print(seed, truth["conditions"], "unmodelled", truth["unmodelled"], [(e["kind"], e["joints"], e["ratio"]) for e in truth["effects"]])
+    elif args.command == "plain":
+        plain(args)
     elif args.command == "judge":
         judge(args)
     elif args.command == "again":

@@ -26,6 +26,7 @@ export NUMBA_CACHE_DIR=$PWD/target/study/compiled PYTHONDONTWRITEBYTECODE=1 OPEN
 mkdir -p target/study
 results=target/study/seeds-$first.jsonl
 rm -f "$results"
+"$python" hil/study/judge.py plain 3110 3115 3126 3131
 [ "$cases" -eq 0 ] || "$python" hil/study/judge.py judge "$results" --program "$program" --from "$first" --count "$cases" "${quick[@]}"
 [ "$clean" -eq 0 ] || "$python" hil/study/judge.py judge "$results" --program "$program" --from $((first + cases)) --count "$clean" --clean "${quick[@]}"
 exec "$python" hil/study/judge.py table "$results"
