@@ -102,9 +102,7 @@ impl Search<'_> {
         });
         let mut order: Vec<usize> = (0..self.library.len()).filter(|&k| screened[k].is_finite()).collect();
         order.sort_by(|&a, &b| screened[b].total_cmp(&screened[a]));
-        // Where the noise is unknown more starts find more that has no name.
-        let starts = if self.evidence().repeats() { MAX_STARTS } else { 1 };
-        let short = shortlisted(order.into_iter().map(|k| &self.library[k]), starts);
+        let short = shortlisted(order.into_iter().map(|k| &self.library[k]));
         let (done, of) = (AtomicUsize::new(0), short.len());
         let tried = parallel(&short, threads, |starts| {
             let scored = starts.iter().filter_map(|item| self.score(state, &self.refined(state, self.rebuilt(item))));
@@ -212,11 +210,11 @@ pub(super) fn inside(setting: &Setting, share: f64) -> f64 {
     setting.at(share.clamp(0.0, 1.0)).clamp(setting.low, setting.high)
 }
 
-/// The first effects of a list, each with so many of its starts where it has several settings.
-fn shortlisted<'a>(candidates: impl Iterator<Item = &'a Candidate>, starts: usize) -> Vec<Vec<&'a Candidate>> {
+/// The first effects of a list, each with the first of its starts.
+fn shortlisted<'a>(candidates: impl Iterator<Item = &'a Candidate>) -> Vec<Vec<&'a Candidate>> {
     let mut short: Vec<Vec<&Candidate>> = Vec::new();
     for item in candidates {
-        let most = if item.spec.settings.len() > 1 { starts } else { 1 };
+        let most = if item.spec.settings.len() > 1 { MAX_STARTS } else { 1 };
         match short.iter().position(|starts| starts[0].alike(item)) {
             Some(of) if short[of].len() < most => short[of].push(item),
             None if short.len() < MAX_SHORTLISTED => short.push(vec![item]),
@@ -237,7 +235,7 @@ mod tests {
     fn of_sixteen_effects_the_best_starts_are_searched_from() {
         let families = ["presliding", "stribeck", "backlash", "position-ripple"].map(|id| family(id).unwrap());
         recorded(2, 61, |_| [0.0; 2]).search(&families, &Settings::default(), |search, _| {
-            let short = shortlisted(search.library.iter(), 3);
+            let short = shortlisted(search.library.iter());
             assert!(short.iter().all(|starts| starts.iter().all(|item| item.alike(starts[0]))));
             let mut seen = [false; 2];
             for starts in &short {
@@ -250,7 +248,7 @@ mod tests {
             }
             assert_eq!(seen, [true; 2], "effects with one setting and with several");
             let again = search.library.iter().chain(search.library);
-            assert!(shortlisted(again, 3).len() == short.len() && short.len() <= 16);
+            assert!(shortlisted(again).len() == short.len() && short.len() <= 16);
         });
     }
 }
