@@ -338,11 +338,11 @@ def main():
     show.add_argument("results")
     show.add_argument("--cases", action="store_true", help="each case; not with seeds of the judge")
     args = parser.parse_args()
+    if max(getattr(args, "seeds", [0])) >= JUDGES_SEEDS:
+        sys.exit(f"judge.py {args.command}: seeds from {JUDGES_SEEDS} on are the judge's; nobody looks at one of those cases")
     if args.command == "make":
         import cases
 
-        if max(args.seeds) >= JUDGES_SEEDS:
-            sys.exit(f"judge.py make: seeds from {JUDGES_SEEDS} on are the judge's; nobody looks at one of those cases")
         for seed in args.seeds:
             truth = cases.make(seed, args.clean, Path(args.folder) / str(seed), args.kinds.split(",") if args.kinds else None, args.quick, args.settled)
             print(seed, truth["conditions"], "unmodelled", truth["unmodelled"], [(e["kind"], e["joints"], e["ratio"]) for e in truth["effects"]])

@@ -422,7 +422,7 @@ mod tests {
 
     #[test]
     fn noise_beside_a_gap_is_not_that_of_one_sample() {
-        // The second of two periods is 0.5 above the first, and lacks 60 samples; one sample of both beside the gap is off by 1.
+        // The second of two periods is 0.5 above the first, and lacks 60 samples; the sample before them is off by 1.
         let samples = 200;
         let clean: Vec<f64> = (0..400).map(|k| if k < samples { 0.0 } else { 0.5 }).collect();
         let missing: Vec<bool> = (0..400).map(|k| (280..340).contains(&k)).collect();

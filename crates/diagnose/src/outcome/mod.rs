@@ -368,9 +368,8 @@ impl JointFacts {
 
     /// Share in the identified runs. Unseen ones may have nothing to explain, as where a payload is picked up in the first run and stays.
     fn share(&self) -> Option<f64> {
-        let BeforeAfter { before, after } = self.unmodelled;
-        let before = before.filter(|before| Some(*before) > self.threshold)?;
-        Some(1.0 - (after? / before).powi(2))
+        let counts = self.unmodelled.before > self.threshold;
+        self.unmodelled.share_taken().filter(|_| counts)
     }
 }
 
@@ -378,6 +377,11 @@ impl BeforeAfter {
     /// Both figures.
     pub fn both(figures: [f64; 2]) -> BeforeAfter {
         BeforeAfter { before: Some(figures[0]), after: Some(figures[1]) }
+    }
+
+    /// Share of the mean square that goes, where both are root mean squares.
+    pub fn share_taken(self) -> Option<f64> {
+        Some(1.0 - (self.after? / self.before?.max(f64::MIN_POSITIVE)).powi(2))
     }
 }
 

@@ -131,14 +131,14 @@ fn joints(changes: &Changes) -> Vec<JointFacts> {
     let of = |list: &[f64], joint: usize| list.get(joint).copied();
     let fact = |joint: usize| {
         let floor = changes.floor.as_ref().and_then(|floor| of(floor, joint));
-        let (before, after) = (of(&changes.before, joint), of(&changes.after, joint));
+        let unmodelled = BeforeAfter { before: of(&changes.before, joint), after: of(&changes.after, joint) };
         let lack_of_fit = changes.lack_of_fit.as_ref().map(|list| BeforeAfter::both(list[joint]));
         JointFacts {
             floor_of_mean: floor,
             lack_of_fit: lack_of_fit.unwrap_or_default(),
-            unmodelled: BeforeAfter { before, after },
+            unmodelled,
             threshold: floor,
-            adequacy: before.zip(after).map(|(b, a)| 1.0 - (a / b.max(f64::MIN_POSITIVE)).powi(2)),
+            adequacy: unmodelled.share_taken(),
             ..JointFacts::default()
         }
     };

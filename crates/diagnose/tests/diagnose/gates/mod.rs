@@ -6,6 +6,7 @@ mod empirical;
 mod errors;
 mod left_out;
 mod outcome;
+mod relevance;
 mod search;
 pub mod synthetic;
 mod whole;
