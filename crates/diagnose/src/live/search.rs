@@ -15,7 +15,8 @@ use plumbline_model::{ModelError, TorqueModel};
 
 /// Share of the search's window that is held out to accept the changes.
 const JUDGED_RATIO: f64 = 0.25;
-/// Largest error of the worst joint with the changes, as a share of the error without them, for a proposal.
+/// Largest error of the worst joint with the changes, as a share of the error without them, for a proposal. The worst joint is that whose error is farthest above
+/// what is usual of it: a wrist's may be a hundredth of the shoulder's.
 const MAX_REMAINING_RATIO: f64 = 0.8;
 /// Largest error of a refined model on the held-out samples, as a ratio to that of the served one.
 const MAX_REFINED_RATIO: f64 = 1.02;
@@ -90,7 +91,8 @@ pub fn search(
         return Found::Nothing { tried: 0, before: now };
     };
     let after = error(&extended);
-    let worst = |rms: &[f64]| rms.iter().copied().fold(0.0, f64::max);
+    let over = |(rms, usual): (&f64, &f64)| rms / usual.max(f64::MIN_POSITIVE);
+    let worst = |rms: &[f64]| rms.iter().zip(&floor.usual).map(over).fold(0.0, f64::max);
     let enough = (MAX_REMAINING_RATIO * worst(&before)).min(MAX_REFINED_RATIO * worst(&now));
     if effects.is_empty() || worst(&after) > enough {
         return Found::Nothing { tried: effects.len(), before: now };

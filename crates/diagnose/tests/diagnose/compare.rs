@@ -190,6 +190,30 @@ fn what_is_usual_tells_two_changes_apart_that_are_nearly_as_good() {
     }
 }
 
+/// Joint 2 has twenty times the usual error of joint 7, before and after.
+#[test]
+fn a_change_in_a_quiet_joint_is_named_beside_a_loud_one() {
+    let loud = |truth: &Truth, seed: u64| -> Vec<Experiment> {
+        let [_, plans] = plans();
+        let of = |(k, plan): (u64, _)| {
+            let period: Period = period(chain(), truth, plan, Mounting::WALL, "run");
+            let mut run = period.record(truth, PERIODS, NOISE, seed + k);
+            let beat = |(torque, t): (&mut f64, &f64)| *torque += 2.0 * (2.33 * t + k as f64).sin();
+            run.tau.column_mut(1).iter_mut().zip(&run.t).for_each(beat);
+            Experiment::prepare(&run, &plumbline_identify::Settings::default()).unwrap()
+        };
+        (0..).zip(&plans).take(2).map(of).collect()
+    };
+    let floor = Floor::of(stored(), &loud(&truth(""), 507)[1]);
+    assert!(floor.usual[1] > 10.0 * floor.usual[6], "{:?}", floor.usual);
+    let new = loud(&truth("[[effect]]\nid = \"torque-offset\"\njoint = 7\noffset = 0.1\n"), 1207);
+    let found = live::search(stored(), stored(), &new[0], &new[1], &floor, &settings());
+    let Found::Remedy(remedy) = found else { panic!("{found:?}") };
+    let [change] = &remedy.changes[..] else { panic!("{:?}", remedy.changes) };
+    let own = &change.parameters[0];
+    assert!(own.column.name == "offset7" && (own.value - 0.1).abs() < 3.0 * own.std.unwrap(), "{}", change.line());
+}
+
 #[test]
 fn nothing_changed_is_nothing_significant_and_says_how_little_would_have_been_seen() {
     let new = record(&truth(""), true, 2, Mounting::WALL, 307);

@@ -23,13 +23,15 @@ const DRAWS: usize = 8;
 const MIN_TORQUE_NOISE_RATIO: f64 = 0.01;
 const MAX_LEVERAGE: f64 = 0.95;
 
-/// Covariance of the parameters from the noise of the torques: from the scatter between periods, else from the residual.
+/// Covariance of the parameters from the noise of the torques: from the scatter between periods and from what every period repeats beyond it, else from the residual.
 pub fn of_torques(stack: &Stack, experiments: &[Experiment], fit: &Fit) -> Spread {
     let residual = stack.residual(&fit.beta);
-    let each = experiments.iter().enumerate().map(|(index, experiment)| match &experiment.noise {
-        Some(noise) => between_periods(&part(stack, &fit.projection, index), experiment.kept(), noise),
-        None => from_residual(stack, fit, &residual, index),
-    });
+    let each =
+        experiments.iter().enumerate().map(|(index, experiment)| match &experiment.noise {
+            Some(noise) => between_periods(&part(stack, &fit.projection, index), experiment.kept(), noise)
+                .plus(&repeated(stack, fit, &residual, index, &variances(noise))),
+            None => from_residual(stack, fit, &residual, index),
+        });
     each.fold(Spread::zero(fit.beta.len()), |sum, one| sum.plus(&one))
 }
 
@@ -72,11 +74,30 @@ pub fn of_all(structure: &Structure, stack: &Stack, experiments: &[Experiment], 
             let both = combined(structure, experiment, repeats, &beta);
             let (samples, dt) = (experiment.motion.samples(), experiment.motion.dt);
             let noise = NoiseOfMean::of(&both, samples, dt, |f| experiment.gain(f));
-            between_periods(&part(stack, &fit.projection, index), experiment.kept(), &noise)
+            between_periods(&part(stack, &fit.projection, index), experiment.kept(), &noise).plus(&repeated(
+                stack,
+                fit,
+                &residual,
+                index,
+                &variances(&noise),
+            ))
         }
         None => from_residual(stack, fit, &residual, index),
     });
     each.fold(Spread::zero(fit.beta.len()), |sum, one| sum.plus(&one))
+}
+
+/// Covariance of the parameters from what the mean period leaves beyond its `noise`, a variance per joint \[Nm2\]: what the model lacks and the steps of the encoders
+/// are alike in every period, and no scatter shows them. The residual is scaled to the variance that is left, joint by joint.
+fn repeated(stack: &Stack, fit: &Fit, residual: &DVector<f64>, index: usize, noise: &[f64]) -> Spread {
+    let mut own = leverage_corrected(stack, fit, residual, index);
+    let m = stack.spans[index];
+    for (j, noise) in noise.iter().enumerate() {
+        let mut of_joint = own.columns_mut(j * m, m);
+        let variance = of_joint.norm_squared() / m as f64;
+        of_joint.scale_mut((1.0 - noise / variance.max(f64::MIN_POSITIVE)).max(0.0).sqrt());
+    }
+    newey_west(&part(stack, &fit.projection, index), own.as_slice(), m)
 }
 
 fn from_residual(stack: &Stack, fit: &Fit, residual: &DVector<f64>, index: usize) -> Spread {

@@ -190,6 +190,37 @@ fn with_noise_errors_agree_with_the_standard_deviations() {
     }
 }
 
+/// No scatter between periods shows what every period repeats: the steps of the encoders, and friction that the model lacks.
+#[test]
+fn errors_that_every_period_repeats_agree_with_the_standard_deviations() {
+    const STEP: f64 = 1e-4;
+    let structure = structure(None);
+    for (step, peak, least) in [(STEP, 0.0, 0.93), (0.0, 0.3, 0.85)] {
+        let mut z = Vec::new();
+        for seed in 0..5 {
+            let truth = Truth::random(30 + seed);
+            let mut run = simulate(&truth, &motion(30 + seed, 10.0, 5), 4, Mounting::WALL, Noise::None, 300 + seed);
+            let speed = |k: usize, j: usize| (run.q[((k + 1) % run.q.nrows(), j)] - run.q[(k, j)]) / DT;
+            let stribeck = DMatrix::from_fn(run.q.nrows(), N, |k, j| {
+                let speed: f64 = speed(k, j);
+                peak * truth.fc[j] * (-speed.abs() / 0.1).exp() * (100.0 * speed).tanh()
+            });
+            let mut rng = ChaCha8Rng::seed_from_u64(seed);
+            run.tau += stribeck;
+            run.tau.apply(|torque| *torque += 0.02 * normal(&mut rng));
+            if step > 0.0 {
+                run.q.apply(|q| *q = (*q / step).round() * step);
+            }
+            let found = identify(&structure, &[prepare(&run)]).unwrap();
+            let rigid = structure.columns().len() - 2 * N;
+            z.extend_from_slice(&z_scores(&found, &truth.beta(&structure))[..rigid]);
+        }
+        let within_two = z.iter().filter(|z| z.abs() < 2.0).count() as f64 / z.len() as f64;
+        println!("step {step}, peak {peak}: mean z2 {:.3}, within two {within_two:.3}", mean_square(&z));
+        assert!(within_two > least, "{within_two} of the parameters within two standard deviations");
+    }
+}
+
 #[test]
 fn without_repeats_the_residual_gives_the_standard_deviations() {
     let truth = Truth::random(13);
