@@ -14,7 +14,7 @@
 //!   s^2 = (n - 1) / n sum_i (beta_i - mean beta_i)^2.
 
 use super::evidence::Evidence;
-use super::fit::inverse;
+use super::fit::{MIN_FOLDS, inverse};
 use super::library::Candidate;
 use super::proposals::inside;
 use super::rows::Rows;
@@ -25,9 +25,6 @@ use plumbline_model::term::effect::{OperatingPoint, Spec};
 
 /// Half the step of a derivative, as a ratio of the distance between two start values of a setting.
 const STEP_RATIO: f64 = 0.05;
-
-/// Fewer trajectories do not tell how they disagree.
-const MIN_FOLDS: usize = 3;
 
 /// Deviations of all parameters of a state's effects.
 pub(super) struct Deviations {

@@ -161,8 +161,10 @@ pub fn diagnose(input: &Input, settings: &Settings, progress: &Watch) -> Result<
     let compared = delivery.compared(&model, input.measuring());
     let independences = detectable::independences(&search, &base);
     let others = [veto.clone(), judge.clone()].concat();
+    let before = Fitted { structure: structure.clone(), identification: before.clone() };
+    let plain = Some(&before).filter(|_| kept.contains(&true));
     let Disagreements { different, undetermined } =
-        disagreements(structure.chain(), &evidence, &identified, &others, &after, settings.band, kept.contains(&true));
+        disagreements(structure.chain(), &evidence, &identified, &others, &after, plain, settings.band);
     let mut diagnosis = Diagnosis {
         verdict: verdict(&effects, residuals.is_empty() && different.is_empty(), undetermined.is_empty()),
         confirmation: Some(confirmation(&evidence)),
@@ -199,7 +201,6 @@ pub fn diagnose(input: &Input, settings: &Settings, progress: &Watch) -> Result<
         true => Vec::new(),
         false => others.iter().map(|trial| trial.experiment.clone()).collect(),
     };
-    let before = Fitted { structure: structure.clone(), identification: before.clone() };
     Ok(Outcome { diagnosis, before, after: model, residuals, curves, open, unseen })
 }
 

@@ -15,6 +15,8 @@ use statrs::distribution::{ContinuousCDF, FisherSnedecor};
 const MIN_RMS_RATIO: f64 = 2.0;
 /// and where the model has effects: their forms are approximations, which leave a rest on other motions.
 const MIN_RMS_RATIO_WITH_EFFECTS: f64 = 2.5;
+/// Share of what effects change in a run that their forms may leave there below 4 Hz.
+const MAX_REST_OF_EFFECTS: f64 = 0.2;
 /// Probability that noise alone lets any joint of any run differ.
 const FALSE_ALARM_PROBABILITY: f64 = 1e-3;
 
@@ -29,33 +31,45 @@ pub struct Disagreements {
     pub undetermined: Vec<Disagreement>,
 }
 
+/// Frequencies below which an unseen run is compared.
+struct Look {
+    bands: usize,
+    /// Least ratio of its RMS to the expected one for the run to differ.
+    least: f64,
+    /// Share of what the effects do there that their forms may leave.
+    rest: f64,
+}
+
+const WITHOUT_EFFECTS: [Look; 1] = [Look { bands: LOW_BANDS, least: MIN_RMS_RATIO, rest: 0.0 }];
+const WITH_EFFECTS: [Look; 2] = [
+    Look { bands: BAND_EDGES_HZ.len(), least: MIN_RMS_RATIO_WITH_EFFECTS, rest: 0.0 },
+    Look { bands: LOW_BANDS, least: MIN_RMS_RATIO_WITH_EFFECTS, rest: MAX_REST_OF_EFFECTS },
+];
+
 /// Runs that disagree with a model. Expected are the noise, what the model lacks in the runs it was identified from, and the errors of its parameters:
 ///
-///   E = sqrt(noise^2 + lack^2 + 1.5^2 mean_k(m_k' C m_k))
+///   E = sqrt(noise^2 + lack^2 + 1.5^2 mean_k(m_k' C m_k) + rest^2)
 ///
-/// below 4 Hz, for above that noise of coarse encoders hides what a run without any effect lacks; of a model `with_effects` in the whole band. `m_k` is the
-/// row of sample k and `C` the covariance of the parameters: the noise is an average over many samples, but all samples share the errors of the parameters,
-/// which are often larger than their standard deviation. A run differs above `E max(2, sqrt(F))`, 2.5 with effects, with the quantile `F` of the F
-/// distribution for the degrees of freedom of the noise in the run and in the identified ones: slow noise has few.
-/// `identified` are the runs that `fitted` was identified from, in `evidence`.
+/// below 4 Hz, for above that noise of coarse encoders hides what a run without any effect lacks. `m_k` is the row of sample k and `C` the covariance of the
+/// parameters: the noise is an average over many samples, but all samples share the errors of the parameters, which are often larger than their standard
+/// deviation. A run differs above `E max(2, sqrt(F))`, 2.5 with effects, with the quantile `F` of the F distribution for the degrees of freedom of the noise in
+/// the run and in the identified ones: slow noise has few.
+///
+/// A model with effects has a `plain` one beside it. It is compared in the whole band with a rest of zero, and below 4 Hz with a fifth of what its effects change
+/// there. `identified` are the runs that `fitted` was identified from, in `evidence`.
 pub fn disagreements(
     chain: &Chain,
     evidence: &Evidence,
     identified: &[Trial],
     unseen: &[Trial],
     fitted: &Fitted,
+    plain: Option<&Fitted>,
     band: f64,
-    with_effects: bool,
 ) -> Disagreements {
-    let (bands, least) = match with_effects {
-        true => (BAND_EDGES_HZ.len(), MIN_RMS_RATIO_WITH_EFFECTS),
-        false => (LOW_BANDS, MIN_RMS_RATIO),
-    };
+    let looks: &[Look] = if plain.is_some() { &WITH_EFFECTS } else { &WITHOUT_EFFECTS };
     let beta = DVector::from_column_slice(&fitted.identification.beta);
     let own = Unseen::of_model(evidence, fitted, identified);
-    let lack = |joint: usize| unmodelled_below(evidence, joint, &own.residual(joint, &beta), bands);
-    let lacks: Vec<f64> = (0..evidence.joints()).map(lack).collect();
-    let freedom: Vec<f64> = (0..evidence.joints()).map(|joint| evidence.freedom_of_noise_below(joint, bands)).collect();
+    let own: Vec<DVector<f64>> = (0..evidence.joints()).map(|joint| own.residual(joint, &beta)).collect();
     let mut found = Disagreements { different: Vec::new(), undetermined: Vec::new() };
     for trial in unseen {
         let trials = std::slice::from_ref(trial);
@@ -64,27 +78,38 @@ pub fn disagreements(
             continue;
         }
         let model = Unseen::of_model(&of_run, fitted, trials);
+        let residual: Vec<DVector<f64>> = (0..of_run.joints()).map(|joint| model.residual(joint, &beta)).collect();
+        let changed = plain.map(|plain| {
+            let (model, beta) = (Unseen::of_model(&of_run, plain, trials), &plain.identification.beta);
+            let beta = DVector::from_column_slice(beta);
+            let change = |joint: usize| model.residual(joint, &beta) - &residual[joint];
+            (0..of_run.joints()).map(change).collect::<Vec<_>>()
+        });
         let periods = trial.experiment.averaged_periods() as f64;
-        let noise = |joint: usize| evidence.floor_of_periods_below(joint, bands, periods).unwrap_or(0.0).powi(2);
-        let noise: Vec<f64> = (0..of_run.joints()).map(noise).collect();
-        let joint = |deviations: f64, joint: usize| {
-            let square = mean_square_below(&of_run, joint, &model.residual(joint, &beta), bands);
-            let parameters = model.variance(joint, &fitted.identification.covariance, bands);
-            let expected = (noise[joint] + lacks[joint] + deviations * deviations * parameters).sqrt();
+        let joint = |deviations: f64, Look { bands, least, rest }: &Look, joint: usize| {
+            let noise = evidence.floor_of_periods_below(joint, *bands, periods).unwrap_or(0.0).powi(2);
+            let lack = unmodelled_below(evidence, joint, &own[joint], *bands);
+            let parameters = model.variance(joint, &fitted.identification.covariance, *bands);
+            let effects =
+                changed.as_ref().map_or(0.0, |changed| mean_square_below(&of_run, joint, &changed[joint], *bands));
+            let expected = (noise + lack + deviations * deviations * parameters + rest * rest * effects).sqrt();
             let alone = FALSE_ALARM_PROBABILITY / (unseen.len() * of_run.joints()) as f64;
-            let of_noise = || mean_square_ratio(alone, of_run.rows_of_noise_below(joint, bands), freedom[joint]).sqrt();
+            let freedom = [of_run.rows_of_noise_below(joint, *bands), evidence.freedom_of_noise_below(joint, *bands)];
+            let of_noise = || mean_square_ratio(alone, freedom[0], freedom[1]).sqrt();
             let ratio = if evidence.repeats() { of_noise() } else { 0.0 };
             Disagreement {
                 run: trial.experiment.name.clone(),
                 joint: joint + 1,
-                rms: square.sqrt(),
+                rms: mean_square_below(&of_run, joint, &residual[joint], *bands).sqrt(),
                 expected,
-                limit: expected * ratio.max(least),
+                limit: expected * ratio.max(*least),
             }
         };
         let worst = |deviations: f64| {
-            let joints = (0..of_run.joints()).map(|own| joint(deviations, own));
-            joints.max_by(|a, b| a.ratio().total_cmp(&b.ratio())).filter(|worst| worst.ratio() > 1.0)
+            let all = looks.iter().flat_map(|look| (0..of_run.joints()).map(move |own| (look, own)));
+            all.map(|(look, own)| joint(deviations, look, own))
+                .max_by(|a, b| a.ratio().total_cmp(&b.ratio()))
+                .filter(|worst| worst.ratio() > 1.0)
         };
         match worst(PARAMETER_DEVIATIONS) {
             Some(worst) => found.different.push(worst),

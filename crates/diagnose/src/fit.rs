@@ -25,6 +25,8 @@ const ROWS_OF_NOISE: f64 = 10.0;
 const MAX_WEIGHT_ROUNDS: usize = 12;
 /// Change of their logarithm at which they have settled.
 const SETTLED_LOG_RATIO: f64 = 0.02;
+/// Fewer folds do not tell how they disagree.
+pub(super) const MIN_FOLDS: usize = 3;
 
 /// Which folds count.
 pub type Chosen<'a> = &'a dyn Fn(usize) -> bool;
@@ -291,6 +293,27 @@ impl Problem<'_> {
         let folds = self.of_folds(moments, phi);
         let (g, b, _) = self.of_all(&folds, moments.width);
         folds.iter().map(|(own_g, own_b, _)| inverse(&(&g - own_g)) * (&b - own_b)).collect()
+    }
+
+    /// Covariance of a fit's parameters by how the folds disagree about them, zero where fewer than three tell it: `F / (F - 1) sum_f e_f e_f'` with
+    /// `e_f = H (b_f - G_f theta)`, what the fold's normal equations move the estimate by (White, Econometrica 48, 1980). Blocks of one run that follow each other
+    /// count together, with Bartlett's weight of one lag.
+    pub fn spread_of_folds(&self, moments: &Moments, fit: &Fit) -> DMatrix<f64> {
+        let mut spread = DMatrix::zeros(moments.width, moments.width);
+        let folds = self.of_folds(moments, &fit.weights);
+        if folds.len() < MIN_FOLDS {
+            return spread;
+        }
+        let moved: Vec<DVector<f64>> = folds.iter().map(|(g, b, _)| &fit.h * (b - g * &fit.theta)).collect();
+        let run = |fold: usize| self.evidence.folds()[fold].experiment;
+        for (fold, own) in moved.iter().enumerate() {
+            spread.ger(1.0, own, own, 1.0);
+            if fold > 0 && !self.evidence.repeats() && run(fold) == run(fold - 1) {
+                spread.ger(0.5, own, &moved[fold - 1], 1.0);
+                spread.ger(0.5, &moved[fold - 1], own, 1.0);
+            }
+        }
+        spread * (folds.len() as f64 / (folds.len() - 1) as f64)
     }
 
     /// How little each fold is expected of the others, under given weights: minus twice the log of its predictive density but for a constant,

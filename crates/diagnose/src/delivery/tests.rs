@@ -273,6 +273,8 @@ fn where_another_joint_is_predicted_worse_the_effect_without_which_it_is_predict
             // Joint 1 moves with the wrong friction.
             let at = after.structure.columns().iter().position(|column| column.name == "fc1").unwrap();
             after.identification.beta[at] += 1.0;
+            // None is zero within its errors.
+            after.identification.std.fill(Some(1e-9));
             let (index, why) = delivery.reason(selected, &[true, true], &after, &[true, true]).unwrap();
             assert!(why.ends_with("in joint 1"), "{why}");
             assert_eq!(index, 1 - offset, "the effect that is not there");

@@ -11,6 +11,7 @@ use crate::reference::{self, Change};
 use crate::select::{MAX_RIVAL_SCORE_GAP, TIE_RATIO};
 use plumbline_core::symmetric_eigen;
 use plumbline_identify::Experiment;
+use plumbline_model::term::effect::Site;
 use plumbline_model::{ModelError, TorqueModel};
 
 /// Share of the search's window that is held out to accept the changes.
@@ -70,6 +71,9 @@ pub fn search(
     let best = singles.iter().map(|change| change.found.score).fold(0.0, f64::max);
     let (near, far): (Vec<Change>, Vec<Change>) =
         singles.into_iter().partition(|change| change.found.score >= TIE_RATIO * best);
+    let places: Vec<(Site, f64)> = near.iter().map(|change| (change.spec.site, change.found.score)).collect();
+    let better = better_than_simpler(&places);
+    let near = near.into_iter().zip(better).filter_map(|(change, better)| better.then_some(change)).collect();
     let alone = |changes: Vec<Change>| changes.into_iter().filter_map(|change| with(vec![change])).filter(explains);
     // The search does not know the noise; what is usual tells more of what is nearly as good. Of what is likely then, the simplest.
     let fit = |(changes, model): &(Vec<Change>, TorqueModel)| {
@@ -101,6 +105,13 @@ pub fn search(
     Found::Remedy(Box::new(Remedy { changes: effects, model: extended, before, after, deviations }))
 }
 
+/// Which of these, the simplest first, with their places and scores, score better than every simpler one in the same place: another is the same but for numbers
+/// that tell nothing, as an offset is a spring without stiffness.
+fn better_than_simpler(places: &[(Site, f64)]) -> Vec<bool> {
+    let better = |k: usize| !places[..k].iter().any(|(site, score)| *site == places[k].0 && *score >= places[k].1);
+    (0..places.len()).map(better).collect()
+}
+
 /// [`Remedy::deviations`] of a model that `lost` is extended to.
 fn deviations(lost: &TorqueModel, changes: &[Change], extended: &TorqueModel) -> Result<Vec<TorqueModel>, ModelError> {
     let mut found = Vec::new();
@@ -128,8 +139,16 @@ pub fn divide(samples: usize) -> usize {
 #[cfg(test)]
 mod tests {
     use super::super::rms;
-    use super::divide;
+    use super::{better_than_simpler, divide};
     use nalgebra::DMatrix;
+    use plumbline_model::term::effect::Site;
+
+    #[test]
+    fn a_change_with_more_numbers_has_to_score_better_than_a_simpler_one_in_its_place() {
+        let (one, other) = (Site::Joint(0), Site::Joint(1));
+        let places = [(one, 90.0), (other, 80.0), (one, 89.0), (other, 95.0), (Site::Arm, 85.0), (other, 94.0)];
+        assert_eq!(better_than_simpler(&places), [true, true, false, true, true, false]);
+    }
 
     #[test]
     fn a_window_leaves_a_quarter_to_judge_by() {

@@ -319,7 +319,8 @@ pub(super) fn change(search: &Search, state: &State, item: usize, found: Found) 
     let range = state.range(item);
     let candidate = &state.items[item];
     let columns = candidate.spec.build(search.operating_point).map(|term| term.columns()).unwrap_or_default();
-    let covariance = state.fit.h.view((range.start, range.start), (range.len(), range.len())).into_owned();
+    let own = |of: &DMatrix<f64>| of.view((range.start, range.start), (range.len(), range.len())).into_owned();
+    let covariance = at_least(own(&state.fit.h), &own(&search.problem.spread_of_folds(&state.moments, &state.fit)));
     let unknown = unknown(&search.problem.information(&state.moments, &state.fit.phi), &range);
     let parameter = |(k, column): (usize, Column)| {
         let known = unknown.row(k).norm_squared() <= UNDETERMINED_RATIO;
@@ -331,6 +332,13 @@ pub(super) fn change(search: &Search, state: &State, item: usize, found: Found) 
     let sessions = search.problem.evidence.sessions();
     let since = sessions.into_iter().find(|(_, start)| *start == candidate.span.from).map(|(session, _)| session);
     Change { spec: candidate.spec.clone(), since, parameters, covariance, undetermined, found }
+}
+
+/// A covariance whose variances are at least those of another one; its correlations stay.
+fn at_least(covariance: DMatrix<f64>, other: &DMatrix<f64>) -> DMatrix<f64> {
+    let growth = |k: usize| (other[(k, k)] / covariance[(k, k)].max(f64::MIN_POSITIVE)).max(1.0).sqrt();
+    let growth = DVector::from_iterator(covariance.nrows(), (0..covariance.nrows()).map(growth));
+    covariance.component_mul(&(&growth * growth.transpose()))
 }
 
 /// Directions of some of the parameters that nothing determines, orthonormal when every parameter is scaled to its own square; one
@@ -392,4 +400,36 @@ fn doubt(evidence: &Evidence, state: &State, parameters: &[Parameter]) -> Doubt 
         }
     }
     found
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::synthetic::{At, scaled};
+    use plumbline_model::term::spring;
+
+    /// Springs of 1.6 to 2.4 Nm/rad in four trajectories: the noise alone knows their mean ten times better than that.
+    #[test]
+    fn what_trajectories_disagree_about_is_known_no_better_than_that() {
+        let of = |apart: f64| {
+            let stiffness = move |at: &At| 2.0 + apart * [-0.4, 0.1, -0.1, 0.4][at.trajectory];
+            let recorded = scaled(&[1.0; 4], 84, move |at| [0.0, stiffness(at) * at.q[1]]);
+            recorded.search(&[&spring::FAMILY], &Settings::default(), |search, base| {
+                let item = search.library.iter().find(|item| item.joints() == [1]).unwrap().clone();
+                let tried = search.propose(base, |_| true).into_iter().find(|one| one.item.joints() == [1]).unwrap();
+                let found = search.found(base, &tried, Vec::new());
+                let state = base.with(&search.problem, item);
+                let change = change(search, &state, 0, found);
+                let own = state.range(0).start;
+                let estimates = search.problem.left_out(&state.moments, &state.fit.weights);
+                let mean = estimates.iter().map(|theta| theta[own]).sum::<f64>() / 4.0;
+                let jackknife = estimates.iter().map(|theta| (theta[own] - mean).powi(2)).sum::<f64>() * 0.75;
+                let std = change.parameters[0].std.unwrap();
+                (std, state.fit.h[(own, own)].sqrt(), jackknife.sqrt())
+            })
+        };
+        let ((same, noise, _), (apart, of_noise, jackknife)) = (of(0.0), of(1.0));
+        assert!(same < 2.0 * noise && apart > 3.0 * of_noise, "{same} {noise}, {apart} {of_noise}");
+        assert!((0.5..2.0).contains(&(apart / jackknife)), "{apart} {jackknife}");
+    }
 }

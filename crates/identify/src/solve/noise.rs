@@ -16,22 +16,24 @@ use plumbline_model::term::Motion;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
+use statrs::distribution::{ContinuousCDF, FisherSnedecor};
 
 /// Random draws of the position noise where there are no repeated periods.
 const DRAWS: usize = 8;
 /// Minimum ratio of torque noise to the residual's variance.
 const MIN_TORQUE_NOISE_RATIO: f64 = 0.01;
 const MAX_LEVERAGE: f64 = 0.95;
+/// Probability that the noise of a mean period alone is taken for something that every period repeats.
+const BY_CHANCE: f64 = 0.05;
 
 /// Covariance of the parameters from the noise of the torques: from the scatter between periods and from what every period repeats beyond it, else from the residual.
 pub fn of_torques(stack: &Stack, experiments: &[Experiment], fit: &Fit) -> Spread {
     let residual = stack.residual(&fit.beta);
-    let each =
-        experiments.iter().enumerate().map(|(index, experiment)| match &experiment.noise {
-            Some(noise) => between_periods(&part(stack, &fit.projection, index), experiment.kept(), noise)
-                .plus(&repeated(stack, fit, &residual, index, &variances(noise))),
-            None => from_residual(stack, fit, &residual, index),
-        });
+    let each = experiments.iter().enumerate().map(|(index, experiment)| match &experiment.noise {
+        Some(noise) => between_periods(&part(stack, &fit.projection, index), experiment.kept(), noise)
+            .plus(&repeated(stack, fit, &residual, index, noise)),
+        None => from_residual(stack, fit, &residual, index),
+    });
     each.fold(Spread::zero(fit.beta.len()), |sum, one| sum.plus(&one))
 }
 
@@ -74,25 +76,21 @@ pub fn of_all(structure: &Structure, stack: &Stack, experiments: &[Experiment], 
             let both = combined(structure, experiment, repeats, &beta);
             let (samples, dt) = (experiment.motion.samples(), experiment.motion.dt);
             let noise = NoiseOfMean::of(&both, samples, dt, |f| experiment.gain(f));
-            between_periods(&part(stack, &fit.projection, index), experiment.kept(), &noise).plus(&repeated(
-                stack,
-                fit,
-                &residual,
-                index,
-                &variances(&noise),
-            ))
+            between_periods(&part(stack, &fit.projection, index), experiment.kept(), &noise)
+                .plus(&repeated(stack, fit, &residual, index, &noise))
         }
         None => from_residual(stack, fit, &residual, index),
     });
     each.fold(Spread::zero(fit.beta.len()), |sum, one| sum.plus(&one))
 }
 
-/// Covariance of the parameters from what the mean period leaves beyond its `noise`, a variance per joint \[Nm2\]: what the model lacks and the steps of the encoders
-/// are alike in every period, and no scatter shows them. The residual is scaled to the variance that is left, joint by joint.
-fn repeated(stack: &Stack, fit: &Fit, residual: &DVector<f64>, index: usize, noise: &[f64]) -> Spread {
+/// Covariance of the parameters from what the mean period leaves beyond its `noise`: what the model lacks and the steps of the encoders are alike in every
+/// period, and no scatter shows them. The residual is scaled to the variance that is left, joint by joint: that beyond the largest that the noise alone would
+/// have by its degrees of freedom, of which slow noise has few.
+fn repeated(stack: &Stack, fit: &Fit, residual: &DVector<f64>, index: usize, noise: &NoiseOfMean) -> Spread {
     let mut own = leverage_corrected(stack, fit, residual, index);
     let m = stack.spans[index];
-    for (j, noise) in noise.iter().enumerate() {
+    for (j, noise) in largest_variances(noise).iter().enumerate() {
         let mut of_joint = own.columns_mut(j * m, m);
         let variance = of_joint.norm_squared() / m as f64;
         of_joint.scale_mut((1.0 - noise / variance.max(f64::MIN_POSITIVE)).max(0.0).sqrt());
@@ -201,6 +199,23 @@ fn variances(noise: &NoiseOfMean) -> Vec<f64> {
     let sides = |bin: usize| if bin == 0 || 2 * bin == noise.samples { 1.0 } else { 2.0 };
     let of = |j: usize| noise.bins.iter().map(|(bin, power)| sides(*bin) * power[(j, j)].re).sum::<f64>();
     (0..n).map(|j| of(j) / noise.samples as f64).collect()
+}
+
+/// [`variances`] that noise of these spectra exceeds with [`BY_CHANCE`], by the F distribution of its degrees of freedom in the mean and in the scatter.
+fn largest_variances(noise: &NoiseOfMean) -> Vec<f64> {
+    let joint = |(j, variance): (usize, f64)| {
+        let sides = |bin: usize| if bin == 0 || 2 * bin == noise.samples { 1.0 } else { 2.0 };
+        let (mut sum, mut squares) = (0.0, 0.0);
+        for (bin, power) in &noise.bins {
+            sum += sides(*bin) * power[(j, j)].re;
+            squares += sides(*bin) * power[(j, j)].re.powi(2);
+        }
+        let freedom = sum * sum / squares.max(f64::MIN_POSITIVE);
+        let of_scatter = freedom * (noise.periods - 1) as f64;
+        let ratio = FisherSnedecor::new(freedom, of_scatter).map_or(1.0, |f| f.inverse_cdf(1.0 - BY_CHANCE));
+        variance * ratio
+    };
+    variances(noise).into_iter().enumerate().map(joint).collect()
 }
 
 /// Measured motion with additional white noise of the positions' standard deviation.
