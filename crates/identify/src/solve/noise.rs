@@ -1,13 +1,14 @@
 //! Noise of the experiments, and its effect on the parameters.
 
 use super::iv::Pair;
-use super::linear::{Fit, Weights, deviations};
+use super::linear::{Fit, Weights, deviations, freedom};
 use super::stack::{Stack, regressor};
 use super::wls::Weighed;
 use crate::EstimateError;
 use crate::covariance::{Spread, between_periods, newey_west};
 use crate::experiment::{Experiment, Repeats};
 use crate::periods::NoiseOfMean;
+use crate::signal::spectral::Spectral;
 use crate::validate::torques;
 use nalgebra::{DMatrix, DVector};
 use plumbline_core::transposed_product;
@@ -16,6 +17,7 @@ use plumbline_model::term::Motion;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
+use realfft::num_complex::Complex;
 use statrs::distribution::{ContinuousCDF, FisherSnedecor};
 
 /// Random draws of the position noise where there are no repeated periods.
@@ -25,13 +27,15 @@ const MIN_TORQUE_NOISE_RATIO: f64 = 0.01;
 const MAX_LEVERAGE: f64 = 0.95;
 /// Probability that the noise of a mean period alone is taken for something that every period repeats.
 const BY_CHANCE: f64 = 0.05;
+/// Frequencies up to this ratio, and some more, are the neighbours of one whose power is a mean over them.
+const NEIGHBOURHOOD_RATIO: f64 = 1.2;
+const NEIGHBOURS: f64 = 4.0;
 
 /// Covariance of the parameters from the noise of the torques: from the scatter between periods and from what every period repeats beyond it, else from the residual.
 pub fn of_torques(stack: &Stack, experiments: &[Experiment], fit: &Fit) -> Spread {
     let residual = stack.residual(&fit.beta);
     let each = experiments.iter().enumerate().map(|(index, experiment)| match &experiment.noise {
-        Some(noise) => between_periods(&part(stack, &fit.projection, index), experiment.kept(), noise)
-            .plus(&repeated(stack, fit, &residual, index, noise)),
+        Some(noise) => of_mean(stack, fit, &residual, index, experiment.kept(), noise),
         None => from_residual(stack, fit, &residual, index),
     });
     each.fold(Spread::zero(fit.beta.len()), |sum, one| sum.plus(&one))
@@ -76,26 +80,63 @@ pub fn of_all(structure: &Structure, stack: &Stack, experiments: &[Experiment], 
             let both = combined(structure, experiment, repeats, &beta);
             let (samples, dt) = (experiment.motion.samples(), experiment.motion.dt);
             let noise = NoiseOfMean::of(&both, samples, dt, |f| experiment.gain(f));
-            between_periods(&part(stack, &fit.projection, index), experiment.kept(), &noise)
-                .plus(&repeated(stack, fit, &residual, index, &noise))
+            of_mean(stack, fit, &residual, index, experiment.kept(), &noise)
         }
         None => from_residual(stack, fit, &residual, index),
     });
     each.fold(Spread::zero(fit.beta.len()), |sum, one| sum.plus(&one))
 }
 
-/// Covariance of the parameters from what the mean period leaves beyond its `noise`: what the model lacks and the steps of the encoders are alike in every
-/// period, and no scatter shows them. The residual is scaled to the variance that is left, joint by joint: that beyond the largest that the noise alone would
-/// have by its degrees of freedom, of which slow noise has few.
-fn repeated(stack: &Stack, fit: &Fit, residual: &DVector<f64>, index: usize, noise: &NoiseOfMean) -> Spread {
-    let mut own = leverage_corrected(stack, fit, residual, index);
+/// Covariance of the parameters from one experiment's mean period at the samples `at`: from its `noise`, and from what is left beyond that. What the model lacks
+/// and the steps of the encoders are alike in every period, and no scatter shows them. They count as noise of their own spectrum, frequency by frequency as
+/// the estimate weighs them: in each joint the power of the residual beyond the largest that the noise alone would have by its degrees of freedom, both as
+/// means over neighbouring frequencies.
+fn of_mean(
+    stack: &Stack,
+    fit: &Fit,
+    residual: &DVector<f64>,
+    index: usize,
+    at: &[usize],
+    noise: &NoiseOfMean,
+) -> Spread {
+    let own = part(stack, &DMatrix::from_row_slice(1, residual.len(), residual.as_slice()), index);
+    let correction = freedom(stack.tau.len(), fit.rank);
     let m = stack.spans[index];
-    for (j, noise) in largest_variances(noise).iter().enumerate() {
-        let mut of_joint = own.columns_mut(j * m, m);
-        let variance = of_joint.norm_squared() / m as f64;
-        of_joint.scale_mut((1.0 - noise / variance.max(f64::MIN_POSITIVE)).max(0.0).sqrt());
-    }
-    newey_west(&part(stack, &fit.projection, index), own.as_slice(), m)
+    let of_joint = |signal: &[f64]| power(signal, at, noise.samples, correction);
+    let left: Vec<Vec<f64>> = own.as_slice().chunks_exact(m).map(of_joint).collect();
+    let beyond = |bin: usize| {
+        let near = noise.bins.iter().filter(|(other, _)| are_near(bin, *other));
+        let number = near.clone().count() as f64;
+        let of_scatter = 2.0 * number * (noise.periods - 1) as f64;
+        let ratio = FisherSnedecor::new(2.0 * number, of_scatter).map_or(1.0, |f| f.inverse_cdf(1.0 - BY_CHANCE));
+        let of_joint = |j: usize| {
+            let more = |(other, scatter): &(usize, DMatrix<Complex<f64>>)| {
+                left[j].get(*other).unwrap_or(&0.0) - ratio * scatter[(j, j)].re
+            };
+            Complex::from((near.clone().map(more).sum::<f64>() / number).max(0.0))
+        };
+        DMatrix::from_diagonal(&DVector::from_iterator(stack.joints, (0..stack.joints).map(of_joint)))
+    };
+    let bins = noise.bins.iter().map(|(bin, _)| (*bin, beyond(*bin))).collect();
+    // As many degrees of freedom as the spectrum of one period has.
+    let left = NoiseOfMean { periods: 2, samples: noise.samples, bins };
+    let map = part(stack, &fit.projection, index);
+    between_periods(&map, at, noise).plus(&between_periods(&map, at, &left))
+}
+
+/// Power by frequency of a signal at some of a period's samples, in the units of [`NoiseOfMean::bins`]. The others are zeros of an even grid.
+fn power(signal: &[f64], at: &[usize], samples: usize, correction: f64) -> Vec<f64> {
+    let step = at.windows(2).map(|pair| pair[1] - pair[0]).min().unwrap_or(1).max(1);
+    let mut even = vec![0.0; samples.div_ceil(step)];
+    at.iter().zip(signal).for_each(|(at, value)| even[at / step] = *value);
+    let scale = correction * samples as f64 / (even.len() * signal.len()) as f64;
+    Spectral::new(even.len(), 1.0).transform(&even).iter().map(|value| scale * value.norm_sqr()).collect()
+}
+
+/// Whether two frequencies are neighbours.
+fn are_near(one: usize, other: usize) -> bool {
+    let [low, high] = [one.min(other) as f64, one.max(other) as f64];
+    high <= NEIGHBOURHOOD_RATIO * low + NEIGHBOURS
 }
 
 fn from_residual(stack: &Stack, fit: &Fit, residual: &DVector<f64>, index: usize) -> Spread {
@@ -199,23 +240,6 @@ fn variances(noise: &NoiseOfMean) -> Vec<f64> {
     let sides = |bin: usize| if bin == 0 || 2 * bin == noise.samples { 1.0 } else { 2.0 };
     let of = |j: usize| noise.bins.iter().map(|(bin, power)| sides(*bin) * power[(j, j)].re).sum::<f64>();
     (0..n).map(|j| of(j) / noise.samples as f64).collect()
-}
-
-/// [`variances`] that noise of these spectra exceeds with [`BY_CHANCE`], by the F distribution of its degrees of freedom in the mean and in the scatter.
-fn largest_variances(noise: &NoiseOfMean) -> Vec<f64> {
-    let joint = |(j, variance): (usize, f64)| {
-        let sides = |bin: usize| if bin == 0 || 2 * bin == noise.samples { 1.0 } else { 2.0 };
-        let (mut sum, mut squares) = (0.0, 0.0);
-        for (bin, power) in &noise.bins {
-            sum += sides(*bin) * power[(j, j)].re;
-            squares += sides(*bin) * power[(j, j)].re.powi(2);
-        }
-        let freedom = sum * sum / squares.max(f64::MIN_POSITIVE);
-        let of_scatter = freedom * (noise.periods - 1) as f64;
-        let ratio = FisherSnedecor::new(freedom, of_scatter).map_or(1.0, |f| f.inverse_cdf(1.0 - BY_CHANCE));
-        variance * ratio
-    };
-    variances(noise).into_iter().enumerate().map(joint).collect()
 }
 
 /// Measured motion with additional white noise of the positions' standard deviation.

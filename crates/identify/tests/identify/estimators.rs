@@ -120,8 +120,9 @@ fn noisy_positions_bias_least_squares_but_not_iv_and_tls() {
     let errors = found.each_ref().map(|found| error(found, &iv_std));
     let z2 = found.each_ref().map(|found| mean_square(&z(found)));
     println!("ols, wls, iv, tls: errors {errors:.2?} in IV's standard deviations, mean z2 {z2:.2?}");
-    // Least squares is biased, and the residual that every period repeats tells how much it may be.
-    assert!(z2[0] < 5.0 && z2[1..].iter().all(|&z2| z2 < 2.5), "{z2:?}");
+    // Least squares is biased, and what every period repeats tells most of how much; the errors of the others agree with their deviations.
+    assert!(z2[..2].iter().all(|z2| (2.0..10.0).contains(z2)), "{z2:?}");
+    assert!(z2[2] < 2.5 && z2[3] < 2.5, "{z2:?}");
     for unbiased in [2, 3] {
         assert!(errors[0] > 6.0 * errors[unbiased] && errors[1] > 2.0 * errors[unbiased], "{errors:?}");
     }
