@@ -67,9 +67,12 @@ pub fn disagreements(
     band: f64,
 ) -> Disagreements {
     let looks: &[Look] = if plain.is_some() { &WITH_EFFECTS } else { &WITHOUT_EFFECTS };
-    let beta = DVector::from_column_slice(&fitted.identification.beta);
-    let own = Unseen::of_model(evidence, fitted, identified);
-    let own: Vec<DVector<f64>> = (0..evidence.joints()).map(|joint| own.residual(joint, &beta)).collect();
+    let beta = |of: &Fitted| DVector::from_column_slice(&of.identification.beta);
+    let own = Unseen::of_model(evidence, fitted, identified).residual_of_each(&beta(fitted));
+    let lack = |look: &Look| {
+        own.iter().enumerate().map(|(joint, own)| unmodelled_below(evidence, joint, own, look.bands)).collect()
+    };
+    let lacks: Vec<Vec<f64>> = looks.iter().map(lack).collect();
     let mut found = Disagreements { different: Vec::new(), undetermined: Vec::new() };
     for trial in unseen {
         let trials = std::slice::from_ref(trial);
@@ -78,21 +81,17 @@ pub fn disagreements(
             continue;
         }
         let model = Unseen::of_model(&of_run, fitted, trials);
-        let residual: Vec<DVector<f64>> = (0..of_run.joints()).map(|joint| model.residual(joint, &beta)).collect();
-        let changed = plain.map(|plain| {
-            let (model, beta) = (Unseen::of_model(&of_run, plain, trials), &plain.identification.beta);
-            let beta = DVector::from_column_slice(beta);
-            let change = |joint: usize| model.residual(joint, &beta) - &residual[joint];
-            (0..of_run.joints()).map(change).collect::<Vec<_>>()
-        });
+        let residual = model.residual_of_each(&beta(fitted));
+        let of_plain = plain.map(|plain| Unseen::of_model(&of_run, plain, trials).residual_of_each(&beta(plain)));
         let periods = trial.experiment.averaged_periods() as f64;
-        let joint = |deviations: f64, Look { bands, least, rest }: &Look, joint: usize| {
+        let joint = |deviations: f64, (Look { bands, least, rest }, lacks): (&Look, &Vec<f64>), joint: usize| {
             let noise = evidence.floor_of_periods_below(joint, *bands, periods).unwrap_or(0.0).powi(2);
-            let lack = unmodelled_below(evidence, joint, &own[joint], *bands);
             let parameters = model.variance(joint, &fitted.identification.covariance, *bands);
-            let effects =
-                changed.as_ref().map_or(0.0, |changed| mean_square_below(&of_run, joint, &changed[joint], *bands));
-            let expected = (noise + lack + deviations * deviations * parameters + rest * rest * effects).sqrt();
+            let changed = |plain: &Vec<DVector<f64>>| {
+                mean_square_below(&of_run, joint, &(&plain[joint] - &residual[joint]), *bands)
+            };
+            let effects = of_plain.as_ref().map_or(0.0, changed);
+            let expected = (noise + lacks[joint] + deviations * deviations * parameters + rest * rest * effects).sqrt();
             let alone = FALSE_ALARM_PROBABILITY / (unseen.len() * of_run.joints()) as f64;
             let freedom = [of_run.rows_of_noise_below(joint, *bands), evidence.freedom_of_noise_below(joint, *bands)];
             let of_noise = || mean_square_ratio(alone, freedom[0], freedom[1]).sqrt();
@@ -106,7 +105,8 @@ pub fn disagreements(
             }
         };
         let worst = |deviations: f64| {
-            let all = looks.iter().flat_map(|look| (0..of_run.joints()).map(move |own| (look, own)));
+            let looks = looks.iter().zip(&lacks);
+            let all = looks.flat_map(|look| (0..of_run.joints()).map(move |own| (look, own)));
             all.map(|(look, own)| joint(deviations, look, own))
                 .max_by(|a, b| a.ratio().total_cmp(&b.ratio()))
                 .filter(|worst| worst.ratio() > 1.0)

@@ -115,6 +115,11 @@ impl<'a> Unseen<'a> {
         &self.columns.r[joint] - self.columns.m[joint].columns(0, theta.len()) * theta
     }
 
+    /// The same of every joint.
+    pub fn residual_of_each(&self, theta: &DVector<f64>) -> Vec<DVector<f64>> {
+        (0..self.evidence.joints()).map(|joint| self.residual(joint, theta)).collect()
+    }
+
     /// Fall of the squared error of all joints from the parameters `before` to `after`, in units of the noise: of the over-dispersion `phi` where
     /// these runs repeat, of the lesser error itself where they do not.
     pub fn gain(&self, phi: &[f64], before: &DVector<f64>, after: &DVector<f64>) -> f64 {
@@ -151,8 +156,7 @@ impl<'a> Unseen<'a> {
     }
 
     fn residuals_under(&self, known: &DVector<f64>, updated: &DVector<f64>) -> Residuals {
-        let of = |theta: &DVector<f64>| (0..self.evidence.joints()).map(|joint| self.residual(joint, theta)).collect();
-        Residuals { known: of(known), updated: of(updated) }
+        Residuals { known: self.residual_of_each(known), updated: self.residual_of_each(updated) }
     }
 
     /// Mean square of a residual above that of the noise, over that of the noise; nothing where that is not known.

@@ -251,9 +251,8 @@ impl Live {
         [before, after]: [Vec<f64>; 2],
         toml: String,
     ) -> Result<OfferedModel, Failure> {
-        let usual = |joint: usize| self.watch.as_ref().map_or(1.0, |watch| watch.usual().usual[joint]);
-        let over = |joint: usize| before[joint] / usual(joint).max(f64::MIN_POSITIVE);
-        let worst = (0..self.joints).max_by(|&a, &b| over(a).total_cmp(&over(b))).unwrap_or(0);
+        let usual = self.watch.as_ref().map_or(vec![1.0; self.joints], |watch| watch.usual().usual.clone());
+        let worst = live::worst(&before, &usual).unwrap_or(0);
         let asks = if self.adopt == Adopt::Ask { ", if adopted" } else { "" };
         self.notes.push(format!(
             "live: since {since:.1} s: {what}; error in joint {} {:.3} -> {:.3} Nm with model {id:016x}{asks}",

@@ -57,6 +57,17 @@ pub fn rms(residual: &DMatrix<f64>, samples: Range<usize>) -> Vec<f64> {
     part.column_iter().map(|column| (column.norm_squared() / count).sqrt()).collect()
 }
 
+/// RMS of a joint as a ratio to what is usual of it.
+fn over(rms: &[f64], usual: &[f64], joint: usize) -> f64 {
+    rms[joint] / usual[joint].max(f64::MIN_POSITIVE)
+}
+
+/// The joint whose RMS is farthest above what is usual of it; `None` without joints.
+pub fn worst(rms: &[f64], usual: &[f64]) -> Option<usize> {
+    let over = |joint: usize| over(rms, usual, joint);
+    (0..rms.len()).max_by(|&a, &b| over(a).total_cmp(&over(b)))
+}
+
 /// Standard deviation of a model's torque in the band over some of a motion's samples, per joint \[Nm\]: [`Remedy::deviations`].
 pub fn spread(deviations: &[TorqueModel], experiment: &Experiment, samples: Range<usize>) -> Vec<f64> {
     let mut squares = vec![0.0; experiment.motion.joints()];

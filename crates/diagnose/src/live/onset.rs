@@ -1,6 +1,6 @@
 //! When a change came.
 
-use super::{LOST_RATIO, rms};
+use super::{LOST_RATIO, over, rms, worst};
 use nalgebra::DMatrix;
 
 /// Joints whose error is above this share of the worst joint's, both as ratios to the usual, tell when a change came.
@@ -28,10 +28,10 @@ pub fn onset(residual: &DMatrix<f64>, usual: &[f64], local: usize) -> usize {
 fn begin(residual: &DMatrix<f64>, usual: &[f64], last: usize) -> usize {
     let count = residual.nrows();
     let end = rms(residual, count.saturating_sub(last.max(1))..count);
-    let over = |joint: &usize| end[*joint] / usual[*joint].max(f64::MIN_POSITIVE);
+    let over = |joint: usize| over(&end, usual, joint);
     let begins = |joint: usize| begin_in(residual, usual, joint, end[joint]);
-    let Some(worst) = (0..end.len()).max_by(|a, b| over(a).total_cmp(&over(b))) else { return 0 };
-    let concerned = |joint: &usize| over(joint) >= CONCERNED_RATIO * over(&worst);
+    let Some(worst) = worst(&end, usual) else { return 0 };
+    let concerned = |joint: &usize| over(*joint) >= CONCERNED_RATIO * over(worst);
     let own = begins(worst);
     (0..end.len()).filter(concerned).map(begins).filter(|begin| begin + last < own).min().unwrap_or(own)
 }

@@ -4,7 +4,7 @@
 //! no part in the search and judges what was found.
 
 use super::watch::{Floor, holds};
-use super::{LOST_RATIO, inside, residual, rms, stretches};
+use super::{LOST_RATIO, inside, over, residual, rms, stretches, worst};
 use crate::evidence::Trial;
 use crate::input::Settings;
 use crate::reference::{self, Change};
@@ -95,8 +95,7 @@ pub fn search(
         return Found::Nothing { tried: 0, before: now };
     };
     let after = error(&extended);
-    let over = |(rms, usual): (&f64, &f64)| rms / usual.max(f64::MIN_POSITIVE);
-    let worst = |rms: &[f64]| rms.iter().zip(&floor.usual).map(over).fold(0.0, f64::max);
+    let worst = |rms: &[f64]| worst(rms, &floor.usual).map_or(0.0, |joint| over(rms, &floor.usual, joint));
     let enough = (MAX_REMAINING_RATIO * worst(&before)).min(MAX_REFINED_RATIO * worst(&now));
     if effects.is_empty() || worst(&after) > enough {
         return Found::Nothing { tried: effects.len(), before: now };

@@ -10,7 +10,7 @@
 //! is an alarm at `S > h`. The mean time between false alarms of one joint is at least `e^h` stretches (Page, Biometrika 41, 1954; Lorden, Annals of
 //! Mathematical Statistics 42, 1971); `h` is set for one in [`FALSE_ALARM_S`]. The same sum of the reverse ratio says that the model holds again.
 
-use super::{LOST_RATIO, STRETCH_S, stretches};
+use super::{LOST_RATIO, STRETCH_S, stretches, worst};
 use plumbline_identify::Experiment;
 use plumbline_model::TorqueModel;
 
@@ -264,8 +264,7 @@ fn add(sums: &mut Sums, floor: &Floor, sign: f64, start: f64, rms: &[f64]) {
 fn alarm(sums: &Sums, floor: &Floor, rms: &[f64]) -> Option<News> {
     let over = threshold(sums.len());
     let since = sums.iter().filter(|(sum, _)| *sum > over).map(|(_, since)| *since).min_by(f64::total_cmp)?;
-    let above = |joint: &usize| rms[*joint] / floor.usual[*joint].max(f64::MIN_POSITIVE);
-    let worst = (0..rms.len()).max_by(|a, b| above(a).total_cmp(&above(b)))?;
+    let worst = worst(rms, &floor.usual)?;
     Some(News::Lost { since, joint: worst, rms: rms[worst], floor: floor.usual[worst] })
 }
 

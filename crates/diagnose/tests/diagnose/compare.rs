@@ -33,15 +33,23 @@ fn tilted(tilt: [f64; 3]) -> Truth {
 
 /// Recordings of that arm: motions that identify, or others.
 fn record(truth: &Truth, others: bool, count: usize, mounting: Mounting, seed: u64) -> Vec<Experiment> {
+    recorded(truth, (others, count, PERIODS), mounting, seed, |_, run| run)
+}
+
+/// So many of the motions that identify, or of others, with so many periods, as they are after a change of each run.
+fn recorded(
+    truth: &Truth,
+    (others, count, periods): (bool, usize, usize),
+    mounting: Mounting,
+    seed: u64,
+    change: impl Fn(usize, Run) -> Run,
+) -> Vec<Experiment> {
     let [identify, validate] = plans();
     let plans = if others { validate } else { identify };
     let one = |(k, plan)| {
         let period: Period = period(chain(), truth, plan, mounting, &format!("run {k}"));
-        Experiment::prepare(
-            &period.record(truth, PERIODS, NOISE, seed + k as u64),
-            &plumbline_identify::Settings::default(),
-        )
-        .unwrap()
+        let run = change(k, period.record(truth, periods, NOISE, seed + k as u64));
+        Experiment::prepare(&run, &plumbline_identify::Settings::default()).unwrap()
     };
     plans.iter().take(count).enumerate().map(one).collect()
 }
@@ -160,18 +168,20 @@ fn a_change_is_found_alone_and_only_above_what_the_model_lacks_by_itself() {
     assert_eq!([found(0.1), found(50.0)], [1, 0]);
 }
 
+/// What the live search names in the first of these motions and accepts in the second.
+fn only_change(new: &[Experiment], floor: &Floor) -> Change {
+    let found = live::search(stored(), stored(), &new[0], &new[1], floor, &settings());
+    let Found::Remedy(remedy) = found else { panic!("{found:?}") };
+    let [change] = &remedy.changes[..] else { panic!("{:?}", remedy.changes) };
+    change.clone()
+}
+
 /// A hose that pulls with 1 Nm and a little more where it is stretched: the pull alone takes most of the error in a motion without repeats, whose noise
 /// is unknown. What is usual tells that something is left.
 #[test]
 fn what_is_usual_tells_two_changes_apart_that_are_nearly_as_good() {
-    let once = |truth: &Truth, seed: u64| -> Vec<Experiment> {
-        let [_, plans] = plans();
-        let of = |(k, plan): (u64, _)| {
-            let period: Period = period(chain(), truth, plan, Mounting::WALL, "run");
-            let run = period.record(truth, 2, NOISE, seed + k);
-            Experiment::prepare(&Run { period: None, ..run }, &plumbline_identify::Settings::default()).unwrap()
-        };
-        (0..).zip(&plans).take(2).map(of).collect()
+    let once = |truth: &Truth, seed: u64| {
+        recorded(truth, (true, 2, 2), Mounting::WALL, seed, |_, run| Run { period: None, ..run })
     };
     let floor = Floor::of(stored(), &once(&truth(""), 507)[1]);
     for (stiffness, name) in [(0.05, "torque-offset"), (0.2, "spring")] {
@@ -180,9 +190,7 @@ fn what_is_usual_tells_two_changes_apart_that_are_nearly_as_good() {
         let new = once(&truth(&hose), 1107);
         let first = single_changes(stored(), &[Trial::alone(&new[0])], &settings());
         assert_eq!(first[0].spec.family, "torque-offset");
-        let found = live::search(stored(), stored(), &new[0], &new[1], &floor, &settings());
-        let Found::Remedy(remedy) = found else { panic!("{found:?}") };
-        let [change] = &remedy.changes[..] else { panic!("{:?}", remedy.changes) };
+        let change = only_change(&new, &floor);
         assert_eq!(change.spec.family, name, "{}", change.line());
         let own = &change.parameters[0];
         let off = (own.value - stiffness) / own.std.unwrap();
@@ -193,23 +201,17 @@ fn what_is_usual_tells_two_changes_apart_that_are_nearly_as_good() {
 /// Joint 2 has twenty times the usual error of joint 7, before and after.
 #[test]
 fn a_change_in_a_quiet_joint_is_named_beside_a_loud_one() {
-    let loud = |truth: &Truth, seed: u64| -> Vec<Experiment> {
-        let [_, plans] = plans();
-        let of = |(k, plan): (u64, _)| {
-            let period: Period = period(chain(), truth, plan, Mounting::WALL, "run");
-            let mut run = period.record(truth, PERIODS, NOISE, seed + k);
+    let loud = |truth: &Truth, seed: u64| {
+        recorded(truth, (true, 2, PERIODS), Mounting::WALL, seed, |k, mut run| {
             let beat = |(torque, t): (&mut f64, &f64)| *torque += 2.0 * (2.33 * t + k as f64).sin();
             run.tau.column_mut(1).iter_mut().zip(&run.t).for_each(beat);
-            Experiment::prepare(&run, &plumbline_identify::Settings::default()).unwrap()
-        };
-        (0..).zip(&plans).take(2).map(of).collect()
+            run
+        })
     };
     let floor = Floor::of(stored(), &loud(&truth(""), 507)[1]);
     assert!(floor.usual[1] > 10.0 * floor.usual[6], "{:?}", floor.usual);
     let new = loud(&truth("[[effect]]\nid = \"torque-offset\"\njoint = 7\noffset = 0.1\n"), 1207);
-    let found = live::search(stored(), stored(), &new[0], &new[1], &floor, &settings());
-    let Found::Remedy(remedy) = found else { panic!("{found:?}") };
-    let [change] = &remedy.changes[..] else { panic!("{:?}", remedy.changes) };
+    let change = only_change(&new, &floor);
     let own = &change.parameters[0];
     assert!(own.column.name == "offset7" && (own.value - 0.1).abs() < 3.0 * own.std.unwrap(), "{}", change.line());
 }

@@ -143,6 +143,11 @@ fn mean_square(values: &[f64]) -> f64 {
     values.iter().map(|v| v * v).sum::<f64>() / values.len() as f64
 }
 
+/// Share of the errors that are less than two standard deviations.
+fn within_two(z: &[f64]) -> f64 {
+    z.iter().filter(|z| z.abs() < 2.0).count() as f64 / z.len() as f64
+}
+
 #[test]
 fn without_noise_every_parameter_is_exact() {
     let truth = Truth::random(11);
@@ -183,7 +188,7 @@ fn with_noise_errors_agree_with_the_standard_deviations() {
             }
         }
         let mean = mean_square(&z);
-        let within_two = z.iter().filter(|z| z.abs() < 2.0).count() as f64 / z.len() as f64;
+        let within_two = within_two(&z);
         println!("mean z2 {mean:.3}, within two standard deviations {within_two:.3}");
         assert!((0.6..1.5).contains(&mean), "mean squared z-score {mean}");
         assert!((0.9..0.99).contains(&within_two), "{within_two} of the parameters within two standard deviations");
@@ -200,9 +205,8 @@ fn errors_that_every_period_repeats_agree_with_the_standard_deviations() {
         for seed in 0..5 {
             let truth = Truth::random(30 + seed);
             let mut run = simulate(&truth, &motion(30 + seed, 10.0, 5), 4, Mounting::WALL, Noise::None, 300 + seed);
-            let speed = |k: usize, j: usize| (run.q[((k + 1) % run.q.nrows(), j)] - run.q[(k, j)]) / DT;
             let stribeck = DMatrix::from_fn(run.q.nrows(), N, |k, j| {
-                let speed: f64 = speed(k, j);
+                let speed = (run.q[((k + 1) % run.q.nrows(), j)] - run.q[(k, j)]) / DT;
                 peak * truth.fc[j] * (-speed.abs() / 0.1).exp() * (100.0 * speed).tanh()
             });
             let mut rng = ChaCha8Rng::seed_from_u64(seed);
@@ -215,7 +219,7 @@ fn errors_that_every_period_repeats_agree_with_the_standard_deviations() {
             let rigid = structure.columns().len() - 2 * N;
             z.extend_from_slice(&z_scores(&found, &truth.beta(&structure))[..rigid]);
         }
-        let within_two = z.iter().filter(|z| z.abs() < 2.0).count() as f64 / z.len() as f64;
+        let within_two = within_two(&z);
         println!("step {step}, peak {peak}: mean z2 {:.3}, within two {within_two:.3}", mean_square(&z));
         assert!(within_two > least, "{within_two} of the parameters within two standard deviations");
     }
