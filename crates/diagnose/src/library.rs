@@ -7,6 +7,9 @@ use plumbline_core::parallel;
 use plumbline_model::term::effect::{FAMILIES, Family, Form, OperatingPoint, Site, Spec, Stratum};
 use plumbline_model::term::{Expected, Term, friction_change, friction_drift};
 
+/// Joints whose transmissions may be coupled without a declaration: those of one wrist.
+const COUPLED_JOINTS_APART: usize = 2;
+
 /// An effect that may be missing from the model.
 #[derive(Clone, Debug)]
 pub struct Candidate {
@@ -88,6 +91,12 @@ impl Candidate {
         self.rows.joints().collect()
     }
 
+    /// Whether both touch the torque of one joint.
+    pub fn meets(&self, other: &Candidate) -> bool {
+        let own = self.joints();
+        other.rows.joints().any(|joint| own.contains(&joint))
+    }
+
     /// Whether the other is the same effect but for its settings.
     pub fn alike(&self, other: &Candidate) -> bool {
         self.is_of(&other.spec, other.span)
@@ -115,8 +124,8 @@ pub fn library(
 ) -> Vec<Candidate> {
     // A law of another joint's motion fits much that has no name, and unknown noise does not tell the two apart.
     let plausible = |family: &Family, form: &Form, site: Site| match site {
-        Site::Pair { row, cause } if family.rare.between_coupled && !evidence.repeats() => {
-            operating_point.chain.are_coupled(row, cause)
+        Site::Pair { row, cause } if family.rare.between_coupled => {
+            operating_point.chain.are_coupled(row, cause) || evidence.repeats() && are_near(row, cause)
         }
         Site::Joint(joint) if family.rare.with_rotor == Some(form.name) => operating_point.rotors[joint],
         _ => true,
@@ -126,6 +135,11 @@ pub fn library(
         .into_iter()
         .flatten()
         .collect()
+}
+
+/// Whether the transmissions of two joints may be coupled although nobody declares it.
+fn are_near(one: usize, other: usize) -> bool {
+    one.abs_diff(other) <= COUPLED_JOINTS_APART
 }
 
 /// Every form of families at every site of an arm that passes, at every start value of its settings.
@@ -173,6 +187,11 @@ fn grid(family: &'static Family, form: &'static Form, site: Site) -> Vec<Spec> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn joints_of_one_wrist_may_be_coupled_undeclared_and_no_others() {
+        assert!(are_near(5, 4) && are_near(3, 5) && !are_near(5, 1) && !are_near(0, 3));
+    }
 
     #[test]
     fn a_parameter_has_to_be_what_the_effect_can_have() {

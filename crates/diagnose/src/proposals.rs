@@ -12,7 +12,7 @@ use super::select::Search;
 use super::span::Span;
 use super::state::{State, Tried};
 use plumbline_core::parallel;
-use plumbline_model::term::effect::{Setting, Spec};
+use plumbline_model::term::effect::{Family, Setting, Site, Spec};
 use std::sync::OnceLock;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -22,6 +22,9 @@ const MAX_SHORTLISTED: usize = 16;
 const MAX_STARTS: usize = 3;
 /// Smallest gain at the start of a search for several settings, as a share of the penalty.
 const MIN_START_GAIN_RATIO: f64 = 0.5;
+/// Share of the arms that have a coupling of two transmissions that their robot file does not declare, as prior odds: a law of another joint's motion fits
+/// much that has no name.
+const UNDECLARED_COUPLINGS: f64 = 1e-3;
 /// Resolution of the begin of an effect in a motion that does not repeat \[s\].
 const BEGIN_RESOLUTION_S: f64 = 0.05;
 /// Resolution of a time constant, as a share of it.
@@ -44,8 +47,12 @@ impl Scored {
     /// Torques that it adds to, counted by its columns, then its parameters, then whether few arms have it: of two that are as good the one with less is
     /// preferred.
     pub(super) fn cost(&self) -> (usize, usize, bool) {
-        let usual = self.item.spec.family().is_ok_and(|family| family.rare.in_every_arm);
-        (self.tried.cross.width * self.item.joints().len(), self.item.parameters(), !usual)
+        (self.tried.cross.width * self.item.joints().len(), self.item.parameters(), !self.is_usual())
+    }
+
+    /// Whether every arm has such an effect, all the time.
+    pub(super) fn is_usual(&self) -> bool {
+        self.item.span.is_all() && self.item.spec.family().is_ok_and(|family| family.rare.in_every_arm)
     }
 
     /// Whether the gain pays more than twice for parameters and choice.
@@ -62,7 +69,21 @@ impl Search<'_> {
         let parameters = item.parameters() as f64 * rows.ln();
         // What the deviations show has been chosen there.
         let came = |(spec, span): &(Spec, Span)| item.spec.is_same_effect(spec) && span.begins_near(item.span);
-        if self.came.iter().any(came) { parameters } else { parameters + 2.0 * (columns.max(2) as f64).ln() }
+        if self.came.iter().any(came) {
+            return parameters;
+        }
+        let rare = if self.is_undeclared_coupling(item) { UNDECLARED_COUPLINGS } else { 1.0 };
+        parameters + 2.0 * (columns.max(2) as f64 / rare).ln()
+    }
+
+    /// Whether it couples two transmissions that the robot file does not declare as coupled.
+    fn is_undeclared_coupling(&self, item: &Candidate) -> bool {
+        let chain = &self.operating_point.chain;
+        let coupling = |family: &Family| family.rare.between_coupled;
+        match item.spec.site {
+            Site::Pair { row, cause } => item.spec.family().is_ok_and(coupling) && !chain.are_coupled(row, cause),
+            _ => false,
+        }
     }
 
     /// The best candidates for a state, refined, best first.

@@ -17,7 +17,8 @@ use std::cell::OnceCell;
 /// Candidates above this share of the best score are tied, where the noise is unknown.
 pub(super) const TIE_RATIO: f64 = 0.8;
 /// A form whose score is better by no more than this is not preferred to one of the same effect with fewer settings, for outside of the recorded range
-/// they may differ much. Only from here on the evidence is strong (Kass and Raftery, Journal of the American Statistical Association 90, 1995).
+/// they may differ much; nor is an effect that few arms have to one of the same joint that every arm has. Only from here on the evidence is strong (Kass and
+/// Raftery, Journal of the American Statistical Association 90, 1995).
 const MIN_FORM_GAP: f64 = 6.0;
 /// Least share of a joint's mean square on blocks left out that a change of its friction or encoder takes, where the noise is unknown.
 const MIN_CHANGE_SHARE: f64 = 0.5;
@@ -218,9 +219,11 @@ impl<'a> Search<'a> {
         let mut proposals = proposals.into_iter();
         let best = proposals.find(|one| self.passes(at, one))?;
         if self.evidence().repeats() {
-            let other_form = |one: &Scored| one.item.same_effect(&best.item) && one.score >= best.score - MIN_FORM_GAP;
-            let near: Vec<Scored> = proposals.filter(|one| other_form(one) && self.passes(at, one)).collect();
-            return [best].into_iter().chain(near).min_by_key(|one| one.item.spec.settings.len());
+            let likely =
+                |one: &Scored| one.item.same_effect(&best.item) || one.is_usual() && one.item.meets(&best.item);
+            let near = |one: &Scored| one.score >= best.score - MIN_FORM_GAP && likely(one);
+            let near: Vec<Scored> = proposals.filter(|one| near(one) && self.passes(at, one)).collect();
+            return [best].into_iter().chain(near).min_by_key(|one| (one.item.spec.settings.len(), !one.is_usual()));
         }
         let least = TIE_RATIO * best.score;
         let near = proposals.take_while(|one| one.score >= least).filter(|one| self.passes(at, one));
@@ -264,9 +267,7 @@ impl<'a> Search<'a> {
             let rest = state.without(&self.problem, item);
             let at = At::of(&rest);
             let chosen = state.items[item].clone();
-            let joints = chosen.joints();
-            let meets = |other: &Candidate| other.joints().iter().any(|joint| joints.contains(joint));
-            let near = |other: &Candidate| meets(other) || other.spec.family == chosen.spec.family;
+            let near = |other: &Candidate| other.meets(&chosen) || other.spec.family == chosen.spec.family;
             // In another joint it is another explanation where it is worth little beside the chosen one: a gain of one joint is one of all others.
             let beside =
                 |other: &Scored| self.score(&state, &other.item).is_some_and(|own| 2.0 * own.score > other.score);
@@ -276,10 +277,11 @@ impl<'a> Search<'a> {
                 continue;
             };
             let mut others = self.proposed(&rest, |other| near(other) && !other.alike(&chosen), progress);
-            others.retain(|other| other.score > 0.0 && (meets(&other.item) || !beside(other)));
+            others.retain(|other| other.score > 0.0 && (other.item.meets(&chosen) || !beside(other)));
             let least = |other: &Scored| {
                 let same = other.item.same_effect(&chosen);
                 let more = same && other.item.spec.settings.len() > chosen.spec.settings.len();
+                let more = more || own.is_usual() && !other.is_usual();
                 match self.evidence().repeats() {
                     true => own.score + if more { MIN_FORM_GAP } else { 0.0 },
                     false if other.cost() > own.cost() => (own.score / TIE_RATIO).max(own.score + MAX_RIVAL_SCORE_GAP),

@@ -104,10 +104,11 @@ pub fn search(
     Found::Remedy(Box::new(Remedy { changes: effects, model: extended, before, after, deviations }))
 }
 
-/// Which of these, the simplest first, with their places and scores, score better than every simpler one in the same place: another is the same but for numbers
-/// that tell nothing, as an offset is a spring without stiffness.
+/// Which of these, the simplest first, with their places and scores, score better than every simpler one in the same joint: another is the same but for numbers
+/// that tell nothing, as an offset is a spring without stiffness. What is of the whole arm is no part of each other.
 fn better_than_simpler(places: &[(Site, f64)]) -> Vec<bool> {
-    let better = |k: usize| !places[..k].iter().any(|(site, score)| *site == places[k].0 && *score >= places[k].1);
+    let same = |one: Site, other: Site| one == other && one != Site::Arm;
+    let better = |k: usize| !places[..k].iter().any(|(site, score)| same(*site, places[k].0) && *score >= places[k].1);
     (0..places.len()).map(better).collect()
 }
 
@@ -145,8 +146,9 @@ mod tests {
     #[test]
     fn a_change_with_more_numbers_has_to_score_better_than_a_simpler_one_in_its_place() {
         let (one, other) = (Site::Joint(0), Site::Joint(1));
-        let places = [(one, 90.0), (other, 80.0), (one, 89.0), (other, 95.0), (Site::Arm, 85.0), (other, 94.0)];
-        assert_eq!(better_than_simpler(&places), [true, true, false, true, true, false]);
+        let arm = |score: f64| (Site::Arm, score);
+        let places = [(one, 90.0), (other, 80.0), arm(86.0), (one, 89.0), (other, 95.0), arm(85.0), (other, 94.0)];
+        assert_eq!(better_than_simpler(&places), [true, true, true, false, true, true, false]);
     }
 
     #[test]

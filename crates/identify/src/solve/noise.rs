@@ -17,7 +17,6 @@ use plumbline_model::term::Motion;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
-use realfft::num_complex::Complex;
 use statrs::distribution::{ContinuousCDF, FisherSnedecor};
 
 /// Random draws of the position noise where there are no repeated periods.
@@ -89,8 +88,8 @@ pub fn of_all(structure: &Structure, stack: &Stack, experiments: &[Experiment], 
 
 /// Covariance of the parameters from one experiment's mean period at the samples `at`: from its `noise`, and from what is left beyond that. What the model lacks
 /// and the steps of the encoders are alike in every period, and no scatter shows them. They count as noise of their own spectrum, frequency by frequency as
-/// the estimate weighs them: in each joint the power of the residual beyond the largest that the noise alone would have by its degrees of freedom, both as
-/// means over neighbouring frequencies.
+/// the estimate weighs them: in each joint the power of the residual beyond that of the noise, both as means over neighbouring frequencies. Unless their ratio
+/// is more than chance by its degrees of freedom in the mean over all frequencies, the largest power that the noise alone would have by chance counts as its.
 fn of_mean(
     stack: &Stack,
     fit: &Fit,
@@ -104,24 +103,41 @@ fn of_mean(
     let m = stack.spans[index];
     let of_joint = |signal: &[f64]| power(signal, at, noise.samples, correction);
     let left: Vec<Vec<f64>> = own.as_slice().chunks_exact(m).map(of_joint).collect();
-    let beyond = |bin: usize| {
-        let near = noise.bins.iter().filter(|(other, _)| are_near(bin, *other));
-        let number = near.clone().count() as f64;
-        let of_scatter = 2.0 * number * (noise.periods - 1) as f64;
-        let ratio = FisherSnedecor::new(2.0 * number, of_scatter).map_or(1.0, |f| f.inverse_cdf(1.0 - BY_CHANCE));
-        let of_joint = |j: usize| {
-            let more = |(other, scatter): &(usize, DMatrix<Complex<f64>>)| {
-                left[j].get(*other).unwrap_or(&0.0) - ratio * scatter[(j, j)].re
-            };
-            Complex::from((near.clone().map(more).sum::<f64>() / number).max(0.0))
-        };
-        DMatrix::from_diagonal(&DVector::from_iterator(stack.joints, (0..stack.joints).map(of_joint)))
-    };
-    let bins = noise.bins.iter().map(|(bin, _)| (*bin, beyond(*bin))).collect();
-    // As many degrees of freedom as the spectrum of one period has.
-    let left = NoiseOfMean { periods: 2, samples: noise.samples, bins };
+    let left = beyond(&left, noise);
     let map = part(stack, &fit.projection, index);
     between_periods(&map, at, noise).plus(&between_periods(&map, at, &left))
+}
+
+/// Spectrum of what is left beyond the noise, from the power of the residual by joint and frequency.
+fn beyond(left: &[Vec<f64>], noise: &NoiseOfMean) -> NoiseOfMean {
+    let bins: Vec<usize> = noise.bins.iter().map(|(bin, _)| *bin).collect();
+    let near: Vec<Vec<usize>> =
+        bins.iter().map(|bin| (0..bins.len()).filter(|&k| are_near(*bin, bins[k])).collect()).collect();
+    // Largest ratio of two means over so many frequencies that noise alone has.
+    let by_chance = |number: usize| {
+        let freedom = 2.0 * number as f64;
+        let f = FisherSnedecor::new(freedom, freedom * (noise.periods - 1) as f64);
+        f.map_or(1.0, |f| f.inverse_cdf(1.0 - BY_CHANCE))
+    };
+    let of_joint = |(j, left): (usize, &Vec<f64>)| -> Vec<f64> {
+        let mean =
+            |near: &[usize], of: &dyn Fn(usize) -> f64| near.iter().map(|&k| of(k)).sum::<f64>() / near.len() as f64;
+        let residual = |near: &[usize]| mean(near, &|k| *left.get(bins[k]).unwrap_or(&0.0));
+        let scatter = |near: &[usize]| mean(near, &|k| noise.bins[k].1[(j, j)].re);
+        let powers: Vec<[f64; 2]> = near.iter().map(|near| [residual(near), scatter(near)]).collect();
+        let ratio = |[residual, scatter]: &[f64; 2]| residual / scatter.max(f64::MIN_POSITIVE);
+        let lacks = powers.iter().map(ratio).sum::<f64>() / bins.len() as f64 > by_chance(bins.len());
+        let of_noise = |near: &[usize]| if lacks { 1.0 } else { by_chance(near.len()) };
+        near.iter()
+            .zip(powers)
+            .map(|(near, [residual, scatter])| (residual - of_noise(near) * scatter).max(0.0))
+            .collect()
+    };
+    let joints: Vec<Vec<f64>> = left.iter().enumerate().map(of_joint).collect();
+    let at = |k: usize| DMatrix::from_fn(left.len(), left.len(), |i, j| if i == j { joints[j][k] } else { 0.0 }.into());
+    let bins = bins.iter().enumerate().map(|(k, bin)| (*bin, at(k))).collect();
+    // As many degrees of freedom as the spectrum of one period has.
+    NoiseOfMean { periods: 2, samples: noise.samples, bins }
 }
 
 /// Power by frequency of a signal at some of a period's samples, in the units of [`NoiseOfMean::bins`]. The others are zeros of an even grid.

@@ -1,13 +1,13 @@
-//! Coulomb friction that rises with speed at a reversal instead of jumping.
+//! Coulomb friction that rises with speed at a reversal less or more steeply than the plain model's.
 
 use super::family::*;
 use super::one_row::*;
 use std::f64::consts::FRAC_2_PI;
 
-/// The part `fw` of the Coulomb friction whose sign is less steep than `tanh(100 dq)`.
+/// The part `fw` of the Coulomb friction whose sign is less, or more, steep than `tanh(100 dq)`.
 pub static FAMILY: Family = Family {
     id: "coulomb-slope",
-    physics: "Contacts that creep under load slide at every speed, so that friction rises over a range of speeds around zero.",
+    physics: "Contacts that creep under load slide at every speed, so that friction rises over a range of speeds around zero; dry ones reverse at once.",
     place: Place::Joint,
     forms: &[
         Form {
@@ -17,7 +17,18 @@ pub static FAMILY: Family = Family {
             build: |operating_point, site, settings| {
                 friction(&FAMILY, "tanh", "fw", operating_point, site, settings, tanh)
             },
-            in_c: InC::Columns(|at, settings| vec![format!("tanh({}/{:?})-{}", at.dq, settings[0], at.sign)]),
+            in_c: InC::Columns(in_c_of_tanh),
+            plot_over: PlotOver::Velocity,
+        },
+        Form {
+            name: "steep",
+            equation: "tau_j = fw_j (tanh(dq_j / vw) - tanh(100 dq_j))",
+            // At 0.01 rad/s it is the plain model's.
+            settings: &[Setting { low: 0.001, high: 0.0077, steps: 3, ..SPEED }],
+            build: |operating_point, site, settings| {
+                friction(&FAMILY, "steep", "fw", operating_point, site, settings, tanh)
+            },
+            in_c: InC::Columns(in_c_of_tanh),
             plot_over: PlotOver::Velocity,
         },
         Form {
@@ -34,7 +45,7 @@ pub static FAMILY: Family = Family {
         },
     ],
     stratum: Stratum::Repeatable,
-    typical: "all of the Coulomb friction, vw 0.005 to 0.05 rad/s",
+    typical: "all of the Coulomb friction, vw 0.001 to 0.05 rad/s",
     confounded: &[confounded("presliding", SLOW_CONSTANT_SPEEDS), confounded("nonlinear-viscous", CONSTANT_SPEEDS)],
     reference: "Makkar et al., IEEE/ASME AIM 2005",
     rare: Rare::NONE,
@@ -50,6 +61,10 @@ const SPEED: Setting = Setting {
     steps: 12,
     scale: Scale::Logarithmic,
 };
+
+fn in_c_of_tanh(at: &Inputs, settings: &[f64]) -> Vec<String> {
+    vec![format!("tanh({}/{:?})-{}", at.dq, settings[0], at.sign)]
+}
 
 fn tanh(at: &At, settings: &Settings) -> [f64; 3] {
     [(at.own.dq / settings[0]).tanh() - smooth_sign(at.own.dq), 0.0, 0.0]

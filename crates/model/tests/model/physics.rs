@@ -44,11 +44,12 @@ fn laws_are_what_their_equations_say() {
     let one = Site::Joint(j);
     let other = |sample: usize| at(&motion.dq, k, sample);
     let minutes = |sample: usize| (12.0 + 4e-3 * sample as f64) / 60.0;
-    let cases: [(&str, &str, Site, &[f64], Law); 16] = [
+    let cases: [(&str, &str, Site, &[f64], Law); 17] = [
         ("asymmetric-coulomb", "", one, &[], &|_, dq, _| vec![sign(dq).abs()]),
         ("asymmetric-viscous", "", one, &[], &|_, dq, _| vec![dq.abs()]),
         ("stribeck", "gaussian", one, &[0.1], &|_, dq, _| vec![(-dq * dq / 0.01).exp() * sign(dq)]),
         ("coulomb-slope", "tanh", one, &[0.03], &|_, dq, _| vec![(dq / 0.03).tanh() - sign(dq)]),
+        ("coulomb-slope", "steep", one, &[0.004], &|_, dq, _| vec![(dq / 0.004).tanh() - sign(dq)]),
         ("coulomb-slope", "arctan", one, &[0.02], &|_, dq, _| {
             vec![(dq / 0.02).atan() / std::f64::consts::FRAC_PI_2 - sign(dq)]
         }),

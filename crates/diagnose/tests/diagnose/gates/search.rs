@@ -201,6 +201,18 @@ fn without_repeats_coupled_gears_are_searched_only_where_the_robot_file_has_them
 }
 
 #[test]
+fn an_undeclared_coupling_has_to_be_a_thousand_times_as_likely_as_a_declared_one() {
+    let coupling: [&'static Family; 1] = [family("transmission-coupling").unwrap()];
+    recorded(4, 1, constant(0.0)).search(&coupling, &Settings::default(), |search, base| {
+        let free = search.operating_point.clone();
+        let coupled = OperatingPoint { chain: free.chain.clone().with_coupled(vec![[1, 0]]), ..free };
+        let cost = |search: &Search| search.score(base, &search.library[0]).unwrap().penalty;
+        let (undeclared, declared) = (cost(search), cost(&search.at(&coupled)));
+        assert!((undeclared - declared - 2.0 * 1000f64.ln()).abs() < 1e-9, "{undeclared} {declared}");
+    });
+}
+
+#[test]
 fn a_rotor_is_searched_where_the_rigid_body_has_absorbed_one() {
     let elastic: [&'static Family; 1] = [&joint_elasticity::FAMILY];
     recorded(4, 1, constant(0.0)).search(&elastic, &Settings::default(), |search, base| {
