@@ -1,6 +1,6 @@
 //! How small an effect could be and still be found, so that "nothing" is a number.
 
-use super::fit::{MIN_INDEPENDENCE_RATIO, every};
+use super::fit::{every, least_independence};
 use super::library::Candidate;
 use super::outcome::{self, MinimumDetectable, NotIdentifiable};
 use super::select::Search;
@@ -40,7 +40,7 @@ pub fn minimum(search: &Search, independences: &[(&Candidate, f64)]) -> BTreeMap
     let evidence = search.problem.evidence;
     let mut found: BTreeMap<String, MinimumDetectable> = BTreeMap::new();
     for &(best, independence) in independences {
-        if independence < MIN_INDEPENDENCE_RATIO {
+        if independence < least_independence(best.rows.exact) {
             continue;
         }
         let rms = |joint: usize| {
@@ -79,7 +79,7 @@ pub fn minimum(search: &Search, independences: &[(&Candidate, f64)]) -> BTreeMap
 /// Effects that the base parameters represent: no data in these mountings shows them.
 pub fn not_identifiable(independences: &[(&Candidate, f64)]) -> Vec<NotIdentifiable> {
     let absorbed = |&(best, independence): &(&Candidate, f64)| {
-        (independence < MIN_INDEPENDENCE_RATIO).then(|| NotIdentifiable {
+        (independence < least_independence(best.rows.exact)).then(|| NotIdentifiable {
             effect: best.spec.family.into(),
             joints: outcome::joints(best.spec.site),
             why: format!(

@@ -359,7 +359,7 @@ impl Problem<'_> {
         let ha = &fit.h * &a;
         let alone = &c - a.tr_mul(&ha);
         let slope = d - a.tr_mul(&fit.theta);
-        let gamma = inverse_of_least(&alone, &c)? * &slope;
+        let gamma = inverse_of_least(&alone, &c, least_independence(cross.exact))? * &slope;
         let shift = -(ha * &gamma);
         let whole = (&c * &gamma).dot(&gamma);
         let independence = (&alone * &gamma).dot(&gamma) / whole.max(f64::MIN_POSITIVE);
@@ -452,20 +452,42 @@ pub fn inverse(g: &DMatrix<f64>) -> DMatrix<f64> {
     DMatrix::from_fn(g.nrows(), g.ncols(), |i, k| inverse[(i, k)] * scale[i] * scale[k])
 }
 
-/// Inverse of the Schur complement `alone` of a candidate's normal equations `c`, on its identifiable directions; `None` without any.
-fn inverse_of_least(alone: &DMatrix<f64>, c: &DMatrix<f64>) -> Option<DMatrix<f64>> {
+/// Inverse of the Schur complement `alone` of a candidate's normal equations `c`, on its directions with an independence above the `least`; `None` without any.
+fn inverse_of_least(alone: &DMatrix<f64>, c: &DMatrix<f64>, least: f64) -> Option<DMatrix<f64>> {
     let l = c.nrows();
     let scale: Vec<f64> = c.diagonal().iter().map(|d| if *d > 0.0 { 1.0 / d.sqrt() } else { 0.0 }).collect();
     let scaled = DMatrix::from_fn(l, l, |i, k| alone[(i, k)] * scale[i] * scale[k]);
     let eigen = symmetric_eigen(scaled)?;
     let weighted = DMatrix::from_fn(l, l, |i, k| {
         let value = eigen.eigenvalues[k];
-        if value > MIN_INDEPENDENCE_RATIO { eigen.eigenvectors[(i, k)] / value } else { 0.0 }
+        if value > least { eigen.eigenvectors[(i, k)] / value } else { 0.0 }
     });
     let inverse = weighted * eigen.eigenvectors.transpose();
-    let found = eigen.eigenvalues.iter().any(|value| *value > MIN_INDEPENDENCE_RATIO);
+    let found = eigen.eigenvalues.iter().any(|value| *value > least);
     found.then(|| DMatrix::from_fn(l, l, |i, k| inverse[(i, k)] * scale[i] * scale[k]))
 }
 
 /// Smallest share of a candidate's square that the other columns may leave in an identifiable direction.
 pub const MIN_INDEPENDENCE_RATIO: f64 = 1e-3;
+/// The same of columns that are [exact](super::rows::Rows::exact).
+const MIN_INDEPENDENCE_RATIO_OF_EXACT: f64 = 1e-4;
+
+/// The one or the other.
+pub const fn least_independence(exact: bool) -> f64 {
+    if exact { MIN_INDEPENDENCE_RATIO_OF_EXACT } else { MIN_INDEPENDENCE_RATIO }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn of_exact_columns_a_ten_thousandth_has_to_be_independent_of_others_a_thousandth() {
+        let whole = DMatrix::from_diagonal_element(1, 1, 8.0);
+        let found = |exact: bool, share: f64| inverse_of_least(&(share * &whole), &whole, least_independence(exact));
+        assert!(found(false, 0.9e-3).is_none() && found(true, 0.9e-4).is_none());
+        for (exact, share) in [(false, 1.1e-3), (true, 1.1e-4)] {
+            assert!((found(exact, share).unwrap()[(0, 0)] * 8.0 * share - 1.0).abs() < 1e-12);
+        }
+    }
+}

@@ -30,16 +30,19 @@ impl Candidate {
     /// Evaluates the columns; `None` when they can't be built or are zero in this data.
     pub fn of(evidence: &Evidence, operating_point: &OperatingPoint, spec: Spec, span: Span) -> Option<Candidate> {
         let term = spec.build(operating_point).ok()?;
-        Candidate::with(&*term, evidence.columns(&*term, span), spec, span)
+        Candidate::with(evidence, &*term, evidence.columns(&*term, span), spec, span)
     }
 
     /// Approximate and faster for effects that are integrated in time; used to screen candidates.
     pub fn sketch(evidence: &Evidence, operating_point: &OperatingPoint, spec: Spec, span: Span) -> Option<Candidate> {
         let term = spec.build(operating_point).ok()?;
-        Candidate::with(&*term, evidence.sketch(&*term, span), spec, span)
+        Candidate::with(evidence, &*term, evidence.sketch(&*term, span), spec, span)
     }
 
-    fn with(term: &dyn Term, rows: Rows, spec: Spec, span: Span) -> Option<Candidate> {
+    fn with(evidence: &Evidence, term: &dyn Term, mut rows: Rows, spec: Spec, span: Span) -> Option<Candidate> {
+        // A constant is known as it is.
+        let constant = span.is_all() && spec.family().is_ok_and(|family| family.rare.in_every_arm);
+        rows.exact = constant && evidence.repeats();
         (rows.is_finite() && !rows.is_empty()).then_some(Candidate { spec, span, rows, expected: term.expects() })
     }
 

@@ -35,6 +35,8 @@ pub struct Moment {
 pub struct Cross {
     /// Columns of the candidate.
     pub width: usize,
+    /// Whether they are [exact](Rows::exact).
+    pub exact: bool,
     /// Index of the cell and its sums.
     pub cells: Vec<(usize, CrossMoment)>,
 }
@@ -101,7 +103,7 @@ impl Columns {
                 CrossMoment { a: transposed_product(&m, &c), c: transposed_product(&c, &c), d: c.tr_mul(&r) },
             ));
         }
-        Cross { width: rows.width, cells }
+        Cross { width: rows.width, exact: rows.exact, cells }
     }
 }
 

@@ -12,6 +12,8 @@ use std::sync::Arc;
 pub struct Rows {
     /// Number of columns.
     pub width: usize,
+    /// Whether the columns are known without an error of positions or parameters, and the noise is: then less of them has to be independent of the others.
+    pub exact: bool,
     /// Joint, from 0, and its coefficients, divided by their noise. Shared by the same columns in many parts of the recording.
     parts: Vec<(usize, Arc<DMatrix<f64>>)>,
     /// The rows outside which they count as zero; `None` where all count.
@@ -22,7 +24,7 @@ impl Rows {
     /// Of joints with coefficients, divided by their noise.
     pub fn new(width: usize, parts: Vec<(usize, DMatrix<f64>)>) -> Rows {
         let shared = |(joint, part)| (joint, Arc::new(part));
-        Rows { width, parts: parts.into_iter().map(shared).collect(), within: None }
+        Rows { width, exact: false, parts: parts.into_iter().map(shared).collect(), within: None }
     }
 
     /// Without the folds that begin outside a part of the recording.
@@ -35,7 +37,7 @@ impl Rows {
             inside.any(|rows| rows.iter().any(|value| *value != 0.0))
         };
         let parts = self.parts.iter().filter(acts).cloned().collect();
-        Rows { width: self.width, parts, within: Some(within) }
+        Rows { width: self.width, exact: self.exact, parts, within: Some(within) }
     }
 
     /// Joints that have some, from 0.

@@ -230,6 +230,19 @@ fn a_rotor_is_searched_where_the_rigid_body_has_absorbed_one() {
 }
 
 #[test]
+fn a_constant_is_exact_where_the_noise_is_known() {
+    let families: [&'static Family; 2] = [OFFSET[0], &spring::FAMILY];
+    let exact = |recorded: &Recorded| {
+        recorded.search(&families, &Settings::default(), |search, _| {
+            let exact = search.library.iter().filter(|item| item.rows.exact);
+            exact.map(|item| (item.spec.family, item.span.is_all())).collect::<Vec<_>>()
+        })
+    };
+    assert_eq!(exact(&recorded(4, 1, constant(0.0))), [("torque-offset", true); 2]);
+    assert!(exact(&once(20.0, 1, constant(0.0))).is_empty());
+}
+
+#[test]
 fn without_repeats_an_effect_has_to_show_in_three_blocks() {
     let families: [&'static Family; 1] = [&spring::FAMILY];
     let mut seen = Vec::new();
