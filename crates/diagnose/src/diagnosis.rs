@@ -310,9 +310,7 @@ fn seeds(search: &Search, in_no_model: impl Fn(&Candidate) -> bool) -> Vec<Candi
     if search.problem.evidence.repeats() {
         return Vec::new();
     }
-    let offset = |item: &&Candidate| {
-        item.span.is_all() && item.spec.family().is_ok_and(|family| family.rare.in_every_arm) && in_no_model(item)
-    };
+    let offset = |item: &&Candidate| item.is_usual() && in_no_model(item);
     search.library.iter().filter(offset).cloned().collect()
 }
 

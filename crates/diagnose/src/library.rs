@@ -41,8 +41,7 @@ impl Candidate {
 
     fn with(evidence: &Evidence, term: &dyn Term, mut rows: Rows, spec: Spec, span: Span) -> Option<Candidate> {
         // A constant is known as it is.
-        let constant = span.is_all() && spec.family().is_ok_and(|family| family.rare.in_every_arm);
-        rows.exact = constant && evidence.repeats();
+        rows.exact = is_usual(&spec, span) && evidence.repeats();
         (rows.is_finite() && !rows.is_empty()).then_some(Candidate { spec, span, rows, expected: term.expects() })
     }
 
@@ -94,6 +93,11 @@ impl Candidate {
         self.rows.joints().collect()
     }
 
+    /// Whether every arm has such an effect, all the time.
+    pub fn is_usual(&self) -> bool {
+        is_usual(&self.spec, self.span)
+    }
+
     /// Whether both touch the torque of one joint.
     pub fn meets(&self, other: &Candidate) -> bool {
         let own = self.joints();
@@ -138,6 +142,10 @@ pub fn library(
         .into_iter()
         .flatten()
         .collect()
+}
+
+fn is_usual(spec: &Spec, span: Span) -> bool {
+    span.is_all() && spec.family().is_ok_and(|family| family.rare.in_every_arm)
 }
 
 /// Whether the transmissions of two joints may be coupled although nobody declares it.

@@ -47,12 +47,7 @@ impl Scored {
     /// Torques that it adds to, counted by its columns, then its parameters, then whether few arms have it: of two that are as good the one with less is
     /// preferred.
     pub(super) fn cost(&self) -> (usize, usize, bool) {
-        (self.tried.cross.width * self.item.joints().len(), self.item.parameters(), !self.is_usual())
-    }
-
-    /// Whether every arm has such an effect, all the time.
-    pub(super) fn is_usual(&self) -> bool {
-        self.item.span.is_all() && self.item.spec.family().is_ok_and(|family| family.rare.in_every_arm)
+        (self.tried.cross.width * self.item.joints().len(), self.item.parameters(), !self.item.is_usual())
     }
 
     /// Whether the gain pays more than twice for parameters and choice.

@@ -220,10 +220,13 @@ impl<'a> Search<'a> {
         let best = proposals.find(|one| self.passes(at, one))?;
         if self.evidence().repeats() {
             let likely =
-                |one: &Scored| one.item.same_effect(&best.item) || one.is_usual() && one.item.meets(&best.item);
+                |one: &Scored| one.item.same_effect(&best.item) || one.item.is_usual() && one.item.meets(&best.item);
             let near = |one: &Scored| one.score >= best.score - MIN_FORM_GAP && likely(one);
             let near: Vec<Scored> = proposals.filter(|one| near(one) && self.passes(at, one)).collect();
-            return [best].into_iter().chain(near).min_by_key(|one| (one.item.spec.settings.len(), !one.is_usual()));
+            return [best]
+                .into_iter()
+                .chain(near)
+                .min_by_key(|one| (one.item.spec.settings.len(), !one.item.is_usual()));
         }
         let least = TIE_RATIO * best.score;
         let near = proposals.take_while(|one| one.score >= least).filter(|one| self.passes(at, one));
@@ -281,7 +284,7 @@ impl<'a> Search<'a> {
             let least = |other: &Scored| {
                 let same = other.item.same_effect(&chosen);
                 let more = same && other.item.spec.settings.len() > chosen.spec.settings.len();
-                let more = more || own.is_usual() && !other.is_usual();
+                let more = more || chosen.is_usual() && !other.item.is_usual();
                 match self.evidence().repeats() {
                     true => own.score + if more { MIN_FORM_GAP } else { 0.0 },
                     false if other.cost() > own.cost() => (own.score / TIE_RATIO).max(own.score + MAX_RIVAL_SCORE_GAP),
