@@ -39,10 +39,11 @@ impl Candidate {
         Candidate::with(evidence, &*term, evidence.sketch(&*term, span), spec, span)
     }
 
-    fn with(evidence: &Evidence, term: &dyn Term, mut rows: Rows, spec: Spec, span: Span) -> Option<Candidate> {
+    fn with(evidence: &Evidence, term: &dyn Term, rows: Rows, spec: Spec, span: Span) -> Option<Candidate> {
+        let mut item = Candidate { spec, span, rows, expected: term.expects() };
         // A constant is known as it is.
-        rows.exact = is_usual(&spec, span) && evidence.repeats();
-        (rows.is_finite() && !rows.is_empty()).then_some(Candidate { spec, span, rows, expected: term.expects() })
+        item.rows.exact = item.is_usual() && evidence.repeats();
+        (item.rows.is_finite() && !item.rows.is_empty()).then_some(item)
     }
 
     /// The same effect in a part of the recording that consists of whole folds; `None` where its columns are zero there.
@@ -95,7 +96,13 @@ impl Candidate {
 
     /// Whether every arm has such an effect, all the time.
     pub fn is_usual(&self) -> bool {
-        is_usual(&self.spec, self.span)
+        self.span.is_all() && self.spec.family().is_ok_and(|family| family.rare.in_every_arm)
+    }
+
+    /// Whether it is the likelier of two that explain as much: a form of the same effect with fewer settings, or what every arm has where the other is rare.
+    pub fn is_likelier(&self, other: &Candidate) -> bool {
+        let fewer = self.spec.settings.len() < other.spec.settings.len();
+        fewer && self.same_effect(other) || self.is_usual() && !other.is_usual()
     }
 
     /// Whether both touch the torque of one joint.
@@ -131,8 +138,8 @@ pub fn library(
 ) -> Vec<Candidate> {
     // A law of another joint's motion fits much that has no name, and unknown noise does not tell the two apart.
     let plausible = |family: &Family, form: &Form, site: Site| match site {
-        Site::Pair { row, cause } if family.rare.between_coupled => {
-            operating_point.chain.are_coupled(row, cause) || evidence.repeats() && are_near(row, cause)
+        Site::Pair { row, cause } if is_undeclared_coupling(family, site, operating_point) => {
+            evidence.repeats() && are_near(row, cause)
         }
         Site::Joint(joint) if family.rare.with_rotor == Some(form.name) => operating_point.rotors[joint],
         _ => true,
@@ -144,8 +151,12 @@ pub fn library(
         .collect()
 }
 
-fn is_usual(spec: &Spec, span: Span) -> bool {
-    span.is_all() && spec.family().is_ok_and(|family| family.rare.in_every_arm)
+/// Whether it couples two transmissions that the robot file does not declare as coupled.
+pub(super) fn is_undeclared_coupling(family: &Family, site: Site, operating_point: &OperatingPoint) -> bool {
+    match site {
+        Site::Pair { row, cause } => family.rare.between_coupled && !operating_point.chain.are_coupled(row, cause),
+        _ => false,
+    }
 }
 
 /// Whether the transmissions of two joints may be coupled although nobody declares it.

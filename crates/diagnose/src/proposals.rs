@@ -6,13 +6,13 @@
 use super::changing::WARMING_TIME_CONSTANTS_S;
 use super::fit::every;
 use super::found::{Progress, Watch};
-use super::library::Candidate;
+use super::library::{Candidate, is_undeclared_coupling};
 use super::search;
 use super::select::Search;
 use super::span::Span;
 use super::state::{State, Tried};
 use plumbline_core::parallel;
-use plumbline_model::term::effect::{Family, Setting, Site, Spec};
+use plumbline_model::term::effect::{Family, Setting, Spec};
 use std::sync::OnceLock;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -60,25 +60,16 @@ impl Search<'_> {
     /// What a candidate's parameters and its choice cost.
     pub(super) fn penalty(&self, item: &Candidate) -> f64 {
         let rows = self.evidence().per_joint() as f64;
-        let columns: usize = self.library.iter().map(|one| one.rows.width).sum();
         let parameters = item.parameters() as f64 * rows.ln();
         // What the deviations show has been chosen there.
         let came = |(spec, span): &(Spec, Span)| item.spec.is_same_effect(spec) && span.begins_near(item.span);
         if self.came.iter().any(came) {
             return parameters;
         }
-        let rare = if self.is_undeclared_coupling(item) { UNDECLARED_COUPLINGS } else { 1.0 };
+        let columns: usize = self.library.iter().map(|one| one.rows.width).sum();
+        let undeclared = |family: &Family| is_undeclared_coupling(family, item.spec.site, self.operating_point);
+        let rare = if item.spec.family().is_ok_and(undeclared) { UNDECLARED_COUPLINGS } else { 1.0 };
         parameters + 2.0 * (columns.max(2) as f64 / rare).ln()
-    }
-
-    /// Whether it couples two transmissions that the robot file does not declare as coupled.
-    fn is_undeclared_coupling(&self, item: &Candidate) -> bool {
-        let chain = &self.operating_point.chain;
-        let coupling = |family: &Family| family.rare.between_coupled;
-        match item.spec.site {
-            Site::Pair { row, cause } => item.spec.family().is_ok_and(coupling) && !chain.are_coupled(row, cause),
-            _ => false,
-        }
     }
 
     /// The best candidates for a state, refined, best first.

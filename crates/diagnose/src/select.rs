@@ -219,9 +219,8 @@ impl<'a> Search<'a> {
         let mut proposals = proposals.into_iter();
         let best = proposals.find(|one| self.passes(at, one))?;
         if self.evidence().repeats() {
-            let likely =
-                |one: &Scored| one.item.same_effect(&best.item) || one.item.is_usual() && one.item.meets(&best.item);
-            let near = |one: &Scored| one.score >= best.score - MIN_FORM_GAP && likely(one);
+            let likelier = |item: &Candidate| item.is_likelier(&best.item) && item.meets(&best.item);
+            let near = |one: &Scored| one.score >= best.score - MIN_FORM_GAP && likelier(&one.item);
             let near: Vec<Scored> = proposals.filter(|one| near(one) && self.passes(at, one)).collect();
             return [best]
                 .into_iter()
@@ -281,15 +280,10 @@ impl<'a> Search<'a> {
             };
             let mut others = self.proposed(&rest, |other| near(other) && !other.alike(&chosen), progress);
             others.retain(|other| other.score > 0.0 && (other.item.meets(&chosen) || !beside(other)));
-            let least = |other: &Scored| {
-                let same = other.item.same_effect(&chosen);
-                let more = same && other.item.spec.settings.len() > chosen.spec.settings.len();
-                let more = more || chosen.is_usual() && !other.item.is_usual();
-                match self.evidence().repeats() {
-                    true => own.score + if more { MIN_FORM_GAP } else { 0.0 },
-                    false if other.cost() > own.cost() => (own.score / TIE_RATIO).max(own.score + MAX_RIVAL_SCORE_GAP),
-                    false => own.score + MAX_RIVAL_SCORE_GAP,
-                }
+            let least = |other: &Scored| match self.evidence().repeats() {
+                true => own.score + if chosen.is_likelier(&other.item) { MIN_FORM_GAP } else { 0.0 },
+                false if other.cost() > own.cost() => (own.score / TIE_RATIO).max(own.score + MAX_RIVAL_SCORE_GAP),
+                false => own.score + MAX_RIVAL_SCORE_GAP,
             };
             let better = others.iter().find(|other| other.score > least(other) && self.passes(&at, other));
             if let Some(better) = better.filter(|_| swaps > 0) {

@@ -119,6 +119,8 @@ fn beyond(left: &[Vec<f64>], noise: &NoiseOfMean) -> NoiseOfMean {
         let f = FisherSnedecor::new(freedom, freedom * (noise.periods - 1) as f64);
         f.map_or(1.0, |f| f.inverse_cdf(1.0 - BY_CHANCE))
     };
+    let everywhere = by_chance(bins.len());
+    let ratios: Vec<f64> = near.iter().map(|near| by_chance(near.len())).collect();
     let of_joint = |(j, left): (usize, &Vec<f64>)| -> Vec<f64> {
         let mean =
             |near: &[usize], of: &dyn Fn(usize) -> f64| near.iter().map(|&k| of(k)).sum::<f64>() / near.len() as f64;
@@ -126,15 +128,14 @@ fn beyond(left: &[Vec<f64>], noise: &NoiseOfMean) -> NoiseOfMean {
         let scatter = |near: &[usize]| mean(near, &|k| noise.bins[k].1[(j, j)].re);
         let powers: Vec<[f64; 2]> = near.iter().map(|near| [residual(near), scatter(near)]).collect();
         let ratio = |[residual, scatter]: &[f64; 2]| residual / scatter.max(f64::MIN_POSITIVE);
-        let lacks = powers.iter().map(ratio).sum::<f64>() / bins.len() as f64 > by_chance(bins.len());
-        let of_noise = |near: &[usize]| if lacks { 1.0 } else { by_chance(near.len()) };
-        near.iter()
-            .zip(powers)
-            .map(|(near, [residual, scatter])| (residual - of_noise(near) * scatter).max(0.0))
-            .collect()
+        let lacks = powers.iter().map(ratio).sum::<f64>() / bins.len() as f64 > everywhere;
+        let more = |([residual, scatter], ratio): (&[f64; 2], &f64)| {
+            (residual - if lacks { 1.0 } else { *ratio } * scatter).max(0.0)
+        };
+        powers.iter().zip(&ratios).map(more).collect()
     };
     let joints: Vec<Vec<f64>> = left.iter().enumerate().map(of_joint).collect();
-    let at = |k: usize| DMatrix::from_fn(left.len(), left.len(), |i, j| if i == j { joints[j][k] } else { 0.0 }.into());
+    let at = |k: usize| DMatrix::from_diagonal(&DVector::from_fn(left.len(), |j, _| joints[j][k].into()));
     let bins = bins.iter().enumerate().map(|(k, bin)| (*bin, at(k))).collect();
     // As many degrees of freedom as the spectrum of one period has.
     NoiseOfMean { periods: 2, samples: noise.samples, bins }

@@ -63,7 +63,7 @@ pub struct Rare {
     pub whole_arm: Option<WholeArm>,
     /// Whether every arm has it. With unknown noise the search starts from a model with it in every joint.
     pub in_every_arm: bool,
-    /// Whether a search with unknown noise tries it only between joints that the robot file declares as coupled.
+    /// Whether it is of joints that the robot file declares as coupled: a search with unknown noise tries no others, one with known noise few, and they are unlikely.
     pub between_coupled: bool,
     /// Whether it may change after an identification; a comparison with a stored model then searches for it.
     pub may_change: bool,
