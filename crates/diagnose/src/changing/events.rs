@@ -9,8 +9,6 @@ use super::transient::{self, Event, Transient};
 use nalgebra::DMatrix;
 use plumbline_model::term::effect::OperatingPoint;
 
-/// Time between the knots of a contact's course \[s\].
-const KNOT_SPACING_S: f64 = 0.1;
 /// A contact that lasts longer may have come to stay \[s\].
 const MAX_PASSING_S: f64 = 5.0;
 
@@ -29,7 +27,7 @@ impl Events {
         let x = transient::robust(record, left, level);
         let rest = record.centred_all(left.clone());
         let periods = record.periods() as f64;
-        let noise = Noise { record, rest: &rest, ratio: periods / (periods - 1.0), knot_spacing: KNOT_SPACING_S };
+        let noise = Noise { record, rest: &rest, ratio: periods / (periods - 1.0) };
         let strong = match record.periods() < LEAST_PERIODS {
             true => Vec::new(),
             false => transient::events(&x, record.dt, transient::MIN_ENERGY_DEVIATIONS),

@@ -1,7 +1,7 @@
 //! Contacts where no majority of periods tells which of them deviates: what deviates there deviates from the model.
 
 use super::contact::{self, Contact, Noise};
-use super::record::{Record, SMOOTHED_S, blocks, spread};
+use super::record::{Record, blocks, spread};
 use super::step::Step;
 use super::transient::{self, Event};
 use super::{EVENT_MARGIN_S, left_out};
@@ -17,6 +17,13 @@ pub(super) const MAX_PERIODS: usize = 2;
 
 /// Largest energy of another event, or of another period at the same time, as a share of the contact's.
 const MAX_OTHERS_RATIO: f64 = 0.5;
+
+/// Smallest difference of a contact's score to that of what is no contact: what the model lacks is no noise, and reaches 24.
+const MIN_GAP: f64 = 30.0;
+/// Length of the window of the low-pass behind which contacts are sought \[s\]: its gain is a half at 5 Hz.
+const SOUGHT_S: f64 = 0.2;
+/// Length of the window of the low-pass behind which they are fitted \[s\]: as long as two knots are apart.
+const FITTED_S: f64 = 0.1;
 
 /// Contacts, each with the stretches to be left out, by what the model that is `predict`ed with and `steps` leave.
 pub(super) fn contacts_of(
@@ -57,10 +64,10 @@ fn contacts(
     for (joint, mut column) in record.tau.column_iter_mut().enumerate() {
         column.iter_mut().enumerate().for_each(|(row, tau)| *tau += mean[(row % samples, joint)]);
     }
-    record.tau = record.smoothed(&record.tau);
+    let x = &contact::visible(&record, &record.smoothed(&record.tau, SOUGHT_S));
+    record.tau = record.smoothed(&record.tau, FITTED_S);
     let record = record;
-    let x = &contact::visible(&record, &record.tau);
-    let noise = Noise { record: &record, rest: &record.tau, ratio: 1.0, knot_spacing: SMOOTHED_S };
+    let noise = Noise { record: &record, rest: &record.tau, ratio: 1.0 };
     let scale = transient::scales(x);
     let energy = |event: &Event| transient::energy(x, &scale, event.first..event.last);
     // What comes again in another period is what the model lacks.
@@ -75,7 +82,10 @@ fn contacts(
     let (mut touched, mut others) = (Vec::new(), 0.0_f64);
     let by_model = |event: &Event| !record.has_majority(event.first..event.last);
     for event in contact::candidates(&record, x, &[]).into_iter().filter(by_model) {
-        let contact = || contact::contact(operating_point, &record, x, &noise, &event);
+        let contact = || {
+            let contact = contact::contact(operating_point, &record, &record.tau, &noise, &event);
+            contact.filter(|contact| contact.gap >= MIN_GAP)
+        };
         match (!comes_again(&event)).then(contact).flatten() {
             Some(contact) => touched.push((energy(&event), event, contact)),
             None => others = others.max(energy(&event)),

@@ -16,8 +16,6 @@ const MAX_BLOCK_S: f64 = 0.01;
 const STANDING_SPEED: f64 = 0.01;
 /// for this long \[s\].
 const STANDING_S: f64 = 0.3;
-/// Length of the window (Hann) of the low-pass behind which contacts are sought \[s\]: its gain is a half at 5 Hz.
-pub(super) const SMOOTHED_S: f64 = 0.2;
 /// Time over which a signal fades out before samples that don't count \[s\].
 const FADE_S: f64 = 0.5;
 
@@ -163,9 +161,9 @@ impl Record<'_> {
         (0..self.masked.len()).map(inside).collect()
     }
 
-    /// A signal, P N x n, behind a low-pass; samples that are not in the mean have no part in it.
-    pub fn smoothed(&self, x: &DMatrix<f64>) -> DMatrix<f64> {
-        let half = (0.5 * SMOOTHED_S / self.dt).round() as isize;
+    /// A signal, P N x n, behind a low-pass with a window (Hann) of this length \[s\]; samples that are not in the mean have no part in it.
+    pub fn smoothed(&self, x: &DMatrix<f64>, seconds: f64) -> DMatrix<f64> {
+        let half = (0.5 * seconds / self.dt).round() as isize;
         let weight = |k: isize| (0.5 * PI * k as f64 / (half + 1) as f64).cos().powi(2);
         let weights: Vec<f64> = (-half..=half).map(weight).collect();
         let rows = x.nrows() as isize;

@@ -11,14 +11,24 @@ const RIDGE_RATIO: f64 = 1e-9;
 /// Weight of a mean of zero, as a share of the largest diagonal element.
 const BALANCE_RATIO: f64 = 1e3;
 
-/// Torques of an event, over their noise.
+/// Torques of an event.
 pub(super) struct Torques {
-    /// What acts from outside, the opposite of the torques: blocks x n.
+    /// What acts from outside, the opposite of the torques: blocks x n \[Nm\].
     pub tau: DMatrix<f64>,
+    /// Inverse covariance of each joint's noise, blocks x blocks; zero where the joint shows nothing.
+    pub weights: Vec<DMatrix<f64>>,
     /// Weight of each knot at each block: first knot, its weight; the next one has the rest.
     pub hats: Vec<(usize, f64)>,
     /// Number of knots.
     pub knots: usize,
+}
+
+/// Normal equations `g x = b`.
+pub(super) struct Normal {
+    /// `D' W D`.
+    pub g: DMatrix<f64>,
+    /// `D' W y`.
+    pub b: DVector<f64>,
 }
 
 /// A course that was fitted.
@@ -49,6 +59,18 @@ impl Course {
         of(knot) * weight + of(knot + 1) * (1.0 - weight)
     }
 
+    /// One that keeps its direction, from its sizes at the knots.
+    pub fn along(sizes: DVector<f64>, direction: DVector<f64>, rss: f64) -> Self {
+        let width = direction.len();
+        let theta = DVector::from_fn(width * sizes.len(), |k, _| sizes[k / width] * direction[k % width]);
+        Course { theta, width, line: Some((sizes, direction)), rss }
+    }
+
+    /// Sizes at the knots and the direction, of a course that keeps it.
+    pub fn line(&self) -> Option<&(DVector<f64>, DVector<f64>)> {
+        self.line.as_ref()
+    }
+
     /// Derivative of `theta` by the parameters: itself, or the sizes at the knots and the direction.
     fn gradient(&self) -> DMatrix<f64> {
         let Some((sizes, direction)) = &self.line else {
@@ -71,22 +93,55 @@ impl Errors {
     }
 }
 
+impl Normal {
+    /// Of so many unknowns, without any equation.
+    pub fn of(size: usize) -> Self {
+        Normal { g: DMatrix::zeros(size, size), b: DVector::zeros(size) }
+    }
+
+    /// Adds the equations `design x = target` of a joint with these weights.
+    pub fn add(&mut self, design: &DMatrix<f64>, weights: &DMatrix<f64>, target: &DVector<f64>) {
+        let weighed = design.tr_mul(weights);
+        self.g += &weighed * design;
+        self.b += weighed * target;
+    }
+}
+
 impl Torques {
+    /// Sum of the squares of a joint's torques over their noise.
+    pub fn square(&self, joint: usize) -> f64 {
+        let tau = self.tau.column(joint);
+        tau.dot(&(&self.weights[joint] * tau))
+    }
+
+    /// The same of all joints.
+    pub fn squares(&self) -> f64 {
+        (0..self.tau.ncols()).map(|joint| self.square(joint)).sum()
+    }
+
     /// Least squares of a course; `columns` of each joint, blocks x width. One that is `balanced` has a mean of zero.
     pub fn fit(&self, columns: &[DMatrix<f64>], balanced: bool) -> Option<Course> {
         let width = columns.first()?.ncols();
         let size = width * self.knots;
-        let (mut g, mut b) = (DMatrix::zeros(size, size), DVector::zeros(size));
-        let mut row = DVector::zeros(2 * width);
-        for (block, &(knot, weight)) in self.hats.iter().enumerate() {
-            let at = knot * width;
-            for (joint, columns) in columns.iter().enumerate() {
-                for c in 0..width {
-                    let value = columns[(block, c)];
-                    (row[c], row[width + c]) = (weight * value, (1.0 - weight) * value);
+        let Normal { mut g, mut b } = Normal::of(size);
+        let nonzero = |(_, columns): &(usize, &DMatrix<f64>)| columns.iter().any(|value| *value != 0.0);
+        for (joint, columns) in columns.iter().enumerate().filter(nonzero) {
+            let weights = &self.weights[joint];
+            // The design has entries at two knots of each block only.
+            let entries = |block: usize| {
+                let (knot, weight) = self.hats[block];
+                let of = move |c: usize| if c < width { (c, weight) } else { (c - width, 1.0 - weight) };
+                (0..2 * width).map(move |c| (knot * width + c, of(c).1 * columns[(block, of(c).0)]))
+            };
+            let mut weighed = DMatrix::zeros(self.hats.len(), size);
+            for block in 0..self.hats.len() {
+                entries(block).for_each(|(at, value)| weighed.column_mut(at).axpy(value, &weights.column(block), 1.0));
+            }
+            b += weighed.tr_mul(&self.tau.column(joint));
+            for block in 0..self.hats.len() {
+                for (at, value) in entries(block) {
+                    (0..size).for_each(|other| g[(other, at)] += value * weighed[(block, other)]);
                 }
-                g.view_mut((at, at), (2 * width, 2 * width)).ger(1.0, &row, &row, 1.0);
-                b.rows_mut(at, 2 * width).axpy(self.tau[(block, joint)], &row, 1.0);
             }
         }
         if balanced {
@@ -96,7 +151,7 @@ impl Torques {
             }
         }
         let theta = ridged(g)?.solve(&b);
-        let rss = (self.tau.norm_squared() - b.dot(&theta)).max(0.0);
+        let rss = (self.squares() - b.dot(&theta)).max(0.0);
         Some(Course { theta, width, line: None, rss })
     }
 
@@ -112,24 +167,20 @@ impl Torques {
             let along = |columns: &DMatrix<f64>| DMatrix::from_columns(&[columns * &direction]);
             let course = self.fit(&columns.iter().map(along).collect::<Vec<_>>(), balanced)?;
             let before = best.as_ref().map_or(f64::INFINITY, |best| best.rss);
-            let (mut g, mut b) = (DMatrix::zeros(width, width), DVector::zeros(width));
-            for block in 0..self.hats.len() {
-                let size = course.at(self, block)[0];
-                for (joint, columns) in columns.iter().enumerate() {
-                    let row = columns.row(block).transpose() * size;
-                    b.axpy(self.tau[(block, joint)], &row, 1.0);
-                    g.ger(1.0, &row, &row, 1.0);
-                }
+            let sizes: Vec<f64> = (0..self.hats.len()).map(|block| course.at(self, block)[0]).collect();
+            let mut normal = Normal::of(width);
+            for (joint, columns) in columns.iter().enumerate() {
+                let sized = DMatrix::from_fn(sizes.len(), width, |block, c| columns[(block, c)] * sizes[block]);
+                normal.add(&sized, &self.weights[joint], &self.tau.column(joint).into_owned());
             }
             let Course { theta: sizes, rss, .. } = course;
             if rss < before {
-                let theta = DVector::from_fn(width * self.knots, |k, _| sizes[k / width] * direction[k % width]);
-                best = Some(Course { theta, width, line: Some((sizes, direction)), rss });
+                best = Some(Course::along(sizes, direction.clone(), rss));
             }
             if before - rss < SETTLED_RATIO * rss {
                 break;
             }
-            direction = ridged(g)?.solve(&b).normalize();
+            direction = ridged(normal.g)?.solve(&normal.b).normalize();
         }
         best
     }
@@ -137,16 +188,17 @@ impl Torques {
     /// Errors of a course that was fitted to these columns.
     pub fn errors(&self, columns: &[DMatrix<f64>], course: &Course) -> Option<Errors> {
         let gradient = course.gradient();
-        let mut g = DMatrix::zeros(gradient.ncols(), gradient.ncols());
-        for (block, &(knot, weight)) in self.hats.iter().enumerate() {
-            let of = |knot: usize| gradient.rows(knot * course.width, course.width);
-            let derivative = of(knot) * weight + of(knot + 1) * (1.0 - weight);
-            for columns in columns {
-                let row = (columns.row(block) * &derivative).transpose();
-                g.ger(1.0, &row, &row, 1.0);
+        let mut normal = Normal::of(gradient.ncols());
+        for (joint, columns) in columns.iter().enumerate() {
+            let mut design = DMatrix::zeros(self.hats.len(), gradient.ncols());
+            for (block, &(knot, weight)) in self.hats.iter().enumerate() {
+                let of = |knot: usize| gradient.rows(knot * course.width, course.width);
+                let derivative = of(knot) * weight + of(knot + 1) * (1.0 - weight);
+                design.row_mut(block).copy_from(&(columns.row(block) * derivative));
             }
+            normal.add(&design, &self.weights[joint], &self.tau.column(joint).into_owned());
         }
-        Some(Errors { gradient, factor: ridged(g)? })
+        Some(Errors { gradient, factor: ridged(normal.g)? })
     }
 }
 
@@ -164,7 +216,8 @@ mod tests {
     fn a_course_that_is_balanced_has_a_mean_of_zero() {
         let hats = (0..40).map(|block| (block / 10, 1.0 - 0.1 * (block % 10) as f64)).collect();
         let wave = |block: usize| 1.0 + (block as f64 * std::f64::consts::TAU / 40.0).sin();
-        let torques = Torques { tau: DMatrix::from_fn(40, 1, |block, _| wave(block)), hats, knots: 5 };
+        let weights = vec![DMatrix::identity(40, 40)];
+        let torques = Torques { tau: DMatrix::from_fn(40, 1, |block, _| wave(block)), weights, hats, knots: 5 };
         let columns = [DMatrix::from_element(40, 1, 1.0)];
         let fit = |balanced| torques.fit(&columns, balanced).unwrap();
         let (free, balanced) = (fit(false), fit(true));

@@ -8,6 +8,7 @@
 
 mod course;
 mod noise;
+mod push;
 mod rivals;
 
 pub(super) use noise::Noise;
@@ -17,30 +18,36 @@ use super::base_motion::gravity_columns;
 use super::record::{Record, blocks};
 use super::transient::{self, Event};
 use crate::select::MAX_RIVAL_SCORE_GAP;
-use course::{Course, SETTLED_RATIO, Torques};
+use course::{Course, Normal, SETTLED_RATIO, Torques};
 use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 use plumbline_model::term::effect::OperatingPoint;
 use plumbline_model::{Chain, JointKind, Placement};
 use std::cmp::Ordering;
 
-/// Smallest difference of a contact's score to that of what is no contact. Noise alone reaches 21.
-const MIN_GAP: f64 = 30.0;
+/// Smallest difference of a contact's score to that of what is no contact. Noise alone reaches 3.
+const MIN_GAP: f64 = 20.0;
+/// Time between the knots of a contact's course \[s\].
+const KNOT_SPACING_S: f64 = 0.1;
 /// Largest number of knots.
 const MAX_KNOTS: usize = 24;
 /// Torques are averaged over this time \[s\]: where friction reverses, periods differ faster than a contact does.
 const BLOCK_S: f64 = 0.05;
+/// Largest number of means in an event; over a longer one more of the torques are averaged.
+const MAX_BLOCKS: usize = 96;
+/// What a course with a knot every tenth of a second lacks of a push that begins at once, as a share of the RMS torque of a joint: noise of its own in each block.
+const COURSE_ERROR_RATIO: f64 = 0.1;
 /// Median deviations from the median energy that make a second stand out as what may be a contact.
 const MIN_ENERGY_DEVIATIONS: f64 = 10.0;
 /// Time before and after the event that is fitted too \[s\].
 pub(super) const MARGIN_S: f64 = 0.15;
 /// Smallest share of an event's energy that a contact explains.
 const MIN_EXPLAINED_RATIO: f64 = 0.9;
+/// Largest energy of what swings faster than a course, as a share of what courses explain: a push stirs up less than itself.
+const MAX_STIRRED_RATIO: f64 = 0.5;
 /// So many deviations of the noise's squares are not counted as unexplained.
 const NOISE_DEVIATIONS: f64 = 2.0;
 /// Explanations that differ by less are as good.
 const SAME_LINK_RATIO: f64 = 0.02;
-/// Smallest number of windows of a recording that the noise over a long event is estimated from.
-const MIN_WINDOWS: usize = 12;
 /// Largest number of rounds between course and point.
 const MAX_ROUNDS: usize = 200;
 /// Smallest force of a contact at its peak \[N\]: a ribbon that hangs down has more.
@@ -100,18 +107,16 @@ impl Contact {
 struct Data<'a> {
     chain: &'a Chain,
     torques: Torques,
-    /// Noise of a block, n \[Nm\], if it were white as far as over the whole event: slow noise could be taken for a course.
-    scale: Vec<f64>,
-    /// Sum of squares that the noise makes of the torques, the number of those that are independent.
+    /// Sum of squares that the noise makes of the torques, their number.
     independent: f64,
     /// Row of the record in the middle of each block.
     rows: Vec<usize>,
-    /// Whether each joint is visible in each block, blocks x n.
-    visible: DMatrix<bool>,
     /// Frames of all links at each block.
     frames: Vec<Vec<Placement>>,
-    /// Number of joints in which the event shows, all of them until they are [counted](Data::shown_in).
-    shown: usize,
+    /// Numbers of a course of its own in each joint.
+    numbers: f64,
+    /// What these courses leave.
+    left: f64,
 }
 
 /// What acts on a link.
@@ -167,7 +172,7 @@ pub(super) fn contact(
     let chain = &operating_point.chain;
     let data = Data::of(chain, record, x, noise, event);
     let rivals = data.rivals(record, &gravity_columns(&record.motion, &operating_point.load));
-    let data = Data { shown: data.shown_in(&rivals), ..data };
+    let data = Data { left: rivals.left(), ..data };
     let mut tried: Vec<Fitted> = (0..chain.len()).flat_map(|link| data.tried(link)).collect();
     let most = tried.iter().map(|one| one.explained).fold(0.0, f64::max);
     tried.retain(|one| one.explained >= MIN_EXPLAINED_RATIO);
@@ -175,20 +180,19 @@ pub(super) fn contact(
     // innermost: what touches one further out shows in its joints, too.
     let far = |one: &Fitted| one.explained < most - SAME_LINK_RATIO;
     let least = |like: &Fitted| {
-        let alike = tried.iter().filter(|one| one.parameters == like.parameters && !far(one));
+        let alike = tried.iter().filter(|one| one.act.rank() == like.act.rank() && !far(one));
         alike.map(|one| one.course.rss).fold(f64::INFINITY, f64::min)
     };
-    let place = |one: &Fitted| (far(one), one.parameters, one.course.rss > least(one) + MAX_RIVAL_SCORE_GAP, one.link);
+    let place = |one: &Fitted| (far(one), one.act.rank(), one.course.rss > least(one) + MAX_RIVAL_SCORE_GAP, one.link);
     let places: Vec<_> = tried.iter().map(place).collect();
     let mut ordered: Vec<_> = places.into_iter().zip(tried).collect();
     ordered.sort_by(|(a, _), (b, _)| a.partial_cmp(b).unwrap_or(Ordering::Equal));
     let tried: Vec<Fitted> = ordered.into_iter().map(|(_, one)| one).collect();
-    let beats = |one: Fitted| {
+    let reported = |one: Fitted| {
         let gap = data.gap(&rivals, &one);
-        (gap >= MIN_GAP).then_some((one, gap))
+        (gap >= MIN_GAP).then(|| data.report(record, event, &one, gap)).flatten()
     };
-    let (one, gap) = tried.into_iter().find_map(beats)?;
-    data.report(record, event, &one, gap)
+    tried.into_iter().find_map(reported)
 }
 
 impl Data<'_> {
@@ -196,8 +200,8 @@ impl Data<'_> {
         let margin = (MARGIN_S / record.dt).round() as usize;
         let (first, last) = (event.first.saturating_sub(margin), (event.last + margin).min(x.nrows()));
         let seconds = (last - first) as f64 * record.dt;
-        let pieces = ((seconds / noise.knot_spacing).round() as usize).clamp(1, MAX_KNOTS - 1);
-        let length = block(record).min(last - first);
+        let pieces = ((seconds / KNOT_SPACING_S).round() as usize).clamp(1, MAX_KNOTS - 1);
+        let length = block(record).max((last - first).div_ceil(MAX_BLOCKS)).min(last - first);
         let begins: Vec<usize> = (first..=last - length).step_by(length).collect();
         let middle = |begin: &usize| *begin as f64 + 0.5 * (length - 1) as f64;
         let hat = |begin: &usize| {
@@ -205,21 +209,19 @@ impl Data<'_> {
             let knot = (place as usize).min(pieces - 1);
             (knot, 1.0 - (place - knot as f64))
         };
-        let long = (last - first).min(x.nrows() / MIN_WINDOWS).max(length);
-        let blocks = long as f64 / length as f64;
-        let of_block = noise.of_mean(length, &(first..last));
-        let of_long = noise.of_mean(long, &(first..last)).into_iter().map(|noise| noise * blocks.sqrt());
-        let scale: Vec<f64> = of_long.zip(&of_block).map(|(long, block)| f64::max(long, *block)).collect();
-        let share = |(of_block, scale): (&f64, &f64)| (of_block / scale).powi(2);
-        let visible = DMatrix::from_fn(begins.len(), chain.len(), |k, j| {
-            !(begins[k]..begins[k] + length).any(|row| record.hides(row, j))
-        });
-        let shares = of_block.iter().zip(&scale).map(share).zip(visible.column_iter());
-        let independent: f64 = shares.map(|(share, own)| share * own.iter().filter(|own| **own).count() as f64).sum();
-        let mean = |k: usize, j: usize| match visible[(k, j)] {
-            true => -x.view((begins[k], j), (length, 1)).sum() / length as f64 / scale[j],
-            false => 0.0,
+        let visible = |joint: usize| {
+            let shows = |k: &usize| !(begins[*k]..begins[*k] + length).any(|row| record.hides(row, joint));
+            (0..begins.len()).filter(shows).collect::<Vec<usize>>()
         };
+        let visible: Vec<Vec<usize>> = (0..chain.len()).map(visible).collect();
+        let mean = |k: usize, j: usize| -x.view((begins[k], j), (length, 1)).sum() / length as f64;
+        let tau = DMatrix::from_fn(begins.len(), chain.len(), mean);
+        let weights = noise.of_blocks(length, &(first..last)).into_iter().zip(&visible).zip(tau.column_iter());
+        let weights = weights.map(|((parts, visible), tau)| {
+            let square: f64 = visible.iter().map(|block| tau[*block].powi(2)).sum();
+            parts.weights(begins.len(), visible, COURSE_ERROR_RATIO.powi(2) * square / visible.len().max(1) as f64)
+        });
+        let weights = weights.collect();
         let rows: Vec<usize> = begins.iter().map(|begin| middle(begin) as usize).collect();
         let frames = |row: &usize| {
             let mut placement = Placement::identity();
@@ -231,17 +233,12 @@ impl Data<'_> {
         };
         Data {
             chain,
-            torques: Torques {
-                tau: DMatrix::from_fn(begins.len(), chain.len(), mean),
-                hats: begins.iter().map(hat).collect(),
-                knots: pieces + 1,
-            },
+            torques: Torques { tau, weights, hats: begins.iter().map(hat).collect(), knots: pieces + 1 },
             frames: rows.iter().map(frames).collect(),
-            visible,
             rows,
-            scale,
-            independent,
-            shown: chain.len(),
+            independent: visible.iter().map(Vec::len).sum::<usize>() as f64,
+            numbers: visible.iter().map(|own| own.len().min(pieces + 1)).sum::<usize>() as f64,
+            left: 0.0,
         }
     }
 
@@ -249,32 +246,23 @@ impl Data<'_> {
     fn tried(&self, link: usize) -> Vec<Fitted> {
         let wrench = self.fit(link, Act::Wrench);
         // A force leaves no less than a wrench, and has at least as many parameters as one that keeps its direction.
-        let limit = wrench.as_ref().map_or(1.0, |wrench| self.explained(wrench.course.rss, self.of_push()));
+        let limit = wrench.as_ref().map_or(1.0, |wrench| self.explained(wrench.course.rss, self.of_push(link)));
         if limit < MIN_EXPLAINED_RATIO {
             return Vec::new();
         }
         // Taking turns creeps, and a good start saves most of it: the frame's origin, or where the moments of a full wrench say.
         let mut starts = vec![Vector3::zeros()];
         starts.extend(wrench.as_ref().and_then(|wrench| self.lever(wrench)));
-        let force = self.at_best_point(link, &starts, Act::Force);
-        let of_force = force.as_ref().and_then(|force| force.act.point());
-        let push = of_force.and_then(|point| self.at_best_point(link, &[point], Act::Push));
-        [push, force, wrench].into_iter().flatten().filter(|one| self.tells(one)).collect()
+        let force = self.at_best_point(link, &starts);
+        starts.extend(force.as_ref().and_then(|force| force.act.point()));
+        let of_start = |point: &Vector3<f64>| self.settled(&self.fit(link, Act::Push(*point))?);
+        let push = starts.iter().filter_map(of_start).min_by(|a, b| a.course.rss.total_cmp(&b.course.rss));
+        [push, force, wrench].into_iter().flatten().collect()
     }
 
-    /// Whether the torques are more than the numbers that explain them. Along a fast motion a wrench on a few joints has more of them than a course of torque in
-    /// each, and would explain anything.
-    fn tells(&self, one: &Fitted) -> bool {
-        let numbers = match one.act {
-            Act::Push(_) => one.parameters,
-            Act::Force(_) | Act::Wrench => one.course.theta.len() as f64,
-        };
-        numbers < self.independent
-    }
-
-    /// What acts at the point of a link where it fits best: in turn the force for a point, and the point for a force.
-    fn at_best_point(&self, link: usize, starts: &[Vector3<f64>], act: fn(Vector3<f64>) -> Act) -> Option<Fitted> {
-        let fit = |point: &Vector3<f64>| self.fit(link, act(*point));
+    /// A force at the point of a link where it fits best: in turn the force for a point, and the point for a force.
+    fn at_best_point(&self, link: usize, starts: &[Vector3<f64>]) -> Option<Fitted> {
+        let fit = |point: &Vector3<f64>| self.fit(link, Act::Force(*point));
         let mut best = starts.iter().filter_map(fit).min_by(|a, b| a.course.rss.total_cmp(&b.course.rss))?;
         for _ in 0..MAX_ROUNDS {
             let better = self.best_point(&best).and_then(|point| fit(&point));
@@ -291,10 +279,10 @@ impl Data<'_> {
     fn fit(&self, link: usize, act: Act) -> Option<Fitted> {
         let columns = self.columns(link, act);
         let free = self.torques.fit(&columns, false)?;
-        let knots = self.torques.knots as f64;
-        let of_free = free.width.min(link + 1) as f64 * knots;
+        // On few joints these are more than a course of torque in each: along a fast motion they would explain anything.
+        let of_free = free.theta.len() as f64;
         let (course, parameters) = match act {
-            Act::Push(_) => (self.torques.fit_direction(&columns, &free, false)?, self.of_push()),
+            Act::Push(_) => (self.torques.fit_direction(&columns, &free, false)?, self.of_push(link)),
             Act::Force(_) => (free, of_free + 3.0),
             Act::Wrench => (free, of_free),
         };
@@ -302,32 +290,34 @@ impl Data<'_> {
         Some(Fitted { link, act, course, parameters, explained })
     }
 
-    /// Number of parameters of a force that keeps its direction: its sizes, and as much of that direction and the point as the torques tell, which are
-    /// their ratios.
-    fn of_push(&self) -> f64 {
-        self.torques.knots as f64 + (self.shown.saturating_sub(1) as f64).min(5.0)
+    /// Number of parameters of a force on a link that keeps its direction: its sizes, and as much of that direction and the point as the joints tell, which are
+    /// ratios of their torques.
+    fn of_push(&self, link: usize) -> f64 {
+        (self.torques.knots + link.min(5)) as f64
     }
 
-    /// Share of the event's energy that is explained where this sum of squares is left, beyond the noise.
+    /// Share of what courses of torque explain that is explained where this sum of squares is left, beyond the noise. What swings faster than a course is none
+    /// of a contact, which may stir up some of it; nothing where that is much.
     fn explained(&self, rss: f64, parameters: f64) -> f64 {
-        let before = self.torques.tau.norm_squared() - self.independent;
+        let dispersion = ((self.left + self.numbers) / self.independent).max(1.0);
+        let by_courses = self.torques.squares() - self.left - dispersion * self.numbers;
         // As much less as the noise may be more.
-        let noise = (self.independent - parameters).max(0.0) + NOISE_DEVIATIONS * (2.0 * self.independent).sqrt();
-        if before <= 0.0 { 0.0 } else { (1.0 - (rss - noise).max(0.0) / before).clamp(0.0, 1.0) }
+        let noise = (self.numbers - parameters).max(0.0) + NOISE_DEVIATIONS * (2.0 * self.numbers).sqrt();
+        let missing = (rss - self.left - dispersion * noise).max(0.0);
+        let stirred = (self.left - self.independent).max(0.0);
+        let tells = by_courses > 0.0 && stirred <= MAX_STIRRED_RATIO * by_courses;
+        if tells { (1.0 - missing / by_courses).clamp(0.0, 1.0) } else { 0.0 }
     }
 
-    /// Torques of all joints, over their noise, for the components of what acts: blocks x width each.
+    /// Torques of all joints for the components of what acts: blocks x width each.
     fn columns(&self, link: usize, act: Act) -> Vec<DMatrix<f64>> {
         let width = if act == Act::Wrench { 6 } else { 3 };
         let of_joint = |joint: usize| {
             let mut columns = DMatrix::zeros(self.frames.len(), width);
             for (block, frames) in self.frames.iter().enumerate() {
-                if !self.visible[(block, joint)] {
-                    continue;
-                }
                 let [force, moment] = self.transposed(frames, link, joint, act.place(&frames[link]));
                 for c in 0..width {
-                    columns[(block, c)] = if c < 3 { force[c] } else { moment[c - 3] } / self.scale[joint];
+                    columns[(block, c)] = if c < 3 { force[c] } else { moment[c - 3] };
                 }
             }
             columns
@@ -362,23 +352,20 @@ impl Data<'_> {
 
     /// The point of a link, in its frame, for which the moments of a known force fit best: `m = (R p) x f`.
     fn best_point(&self, fitted: &Fitted) -> Option<Vector3<f64>> {
-        let (mut g, mut b) = (Matrix3::zeros(), Vector3::zeros());
-        for (block, frames) in self.frames.iter().enumerate() {
-            let [force, _] = self.at(fitted, block);
-            let frame = &frames[fitted.link];
-            for joint in 0..=fitted.link {
-                if !self.visible[(block, joint)] {
-                    continue;
-                }
+        let forces: Vec<Vector3<f64>> = (0..self.rows.len()).map(|block| self.at(fitted, block)[0]).collect();
+        let mut normal = Normal::of(3);
+        for joint in 0..=fitted.link {
+            let (mut design, mut rest) = (DMatrix::zeros(forces.len(), 3), self.torques.tau.column(joint).into_owned());
+            for (block, (frames, force)) in self.frames.iter().zip(&forces).enumerate() {
+                let frame = &frames[fitted.link];
                 let [linear, angular] = self.transposed(frames, fitted.link, joint, frame.origin);
-                let rest = self.torques.tau[(block, joint)] - linear.dot(&force) / self.scale[joint];
+                rest[block] -= linear.dot(force);
                 // z . (R p x f) = p . R' (f x z).
-                let row = frame.rotation.transpose() * force.cross(&angular) / self.scale[joint];
-                g += row * row.transpose();
-                b += row * rest;
+                design.row_mut(block).copy_from(&(frame.rotation.transpose() * force.cross(&angular)).transpose());
             }
+            normal.add(&design, &self.torques.weights[joint], &rest);
         }
-        nearest(&g, &b)
+        nearest(&normal.g.fixed_view::<3, 3>(0, 0).into_owned(), &normal.b.fixed_rows::<3>(0).into_owned())
     }
 
     /// Force and moment at a block.
@@ -421,7 +408,7 @@ impl Data<'_> {
         periods.dedup();
         let torque = |block: usize, joint: usize| {
             let course = fitted.course.at(&self.torques, block);
-            -columns[joint].row(block).transpose().dot(&course) * self.scale[joint]
+            -columns[joint].row(block).transpose().dot(&course)
         };
         Some(Contact {
             run: record.experiment.name.clone(),
@@ -444,6 +431,15 @@ impl Data<'_> {
 }
 
 impl Act {
+    /// Acts with fewer numbers come first.
+    fn rank(self) -> usize {
+        match self {
+            Act::Push(_) => 0,
+            Act::Force(_) => 1,
+            Act::Wrench => 2,
+        }
+    }
+
     /// Point in the link's frame; a wrench has none.
     fn point(self) -> Option<Vector3<f64>> {
         match self {
