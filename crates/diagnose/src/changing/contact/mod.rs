@@ -25,7 +25,7 @@ use plumbline_model::{Chain, JointKind, Placement};
 use std::cmp::Ordering;
 
 /// Smallest difference of a contact's score to that of what is no contact. Noise alone reaches 3.
-const MIN_GAP: f64 = 20.0;
+const MIN_GAP: f64 = 12.0;
 /// Time between the knots of a contact's course \[s\].
 const KNOT_SPACING_S: f64 = 0.1;
 /// Largest number of knots.
