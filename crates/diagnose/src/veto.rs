@@ -12,6 +12,10 @@ use super::state::{State, mean_square};
 use super::unseen::{Known, Unseen};
 use plumbline_model::Structure;
 
+/// Smallest difference that refutes what came within the identified runs: the base parameters of the model without it are those of the time since then, so these runs may not tell one from the
+/// other. Strong evidence (Kass and Raftery, Journal of the American Statistical Association 90, 1995).
+const MIN_REFUTING_GAP: f64 = 6.0;
+
 /// Runs that a model is not fitted to.
 #[derive(Clone, Copy)]
 pub struct Deciding<'a> {
@@ -57,7 +61,7 @@ impl<'a> Deciding<'a> {
     }
 }
 
-/// Removes every effect without which unseen runs are expected no less. Where they are the only unseen ones the delivery withholds it instead, and
+/// Removes every effect without which unseen runs are expected no less, or more if it came within the identified ones. Where they are the only unseen ones the delivery withholds it instead, and
 /// the reason is said.
 pub fn vetoed(search: &Search, mut selected: Selected, input: &Input, evidence: &Evidence) -> Selected {
     if input.veto.is_empty() || input.judge.is_empty() {
@@ -74,7 +78,8 @@ pub fn vetoed(search: &Search, mut selected: Selected, input: &Input, evidence: 
         let unseen = Unseen::of(evidence, input.structure, input.veto, state, search.operating_point);
         let rest = state.without(&search.problem, item);
         let surprise = |unseen: &Unseen, own: &State| unseen.update_of(&search.problem, own, &state.fit.phi).1;
-        if surprise(&unseen, state) < surprise(&unseen.without(state.range(item)), &rest) {
+        let refuting = if state.items[item].span.is_all() { 0.0 } else { MIN_REFUTING_GAP };
+        if surprise(&unseen, state) < surprise(&unseen.without(state.range(item)), &rest) + refuting {
             item += 1;
             continue;
         }
