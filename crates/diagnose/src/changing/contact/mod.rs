@@ -3,7 +3,7 @@
 //!   tau = -J_l(q)' w(t)
 //!
 //! is what the actuators hold against a wrench `w` on the arm; `J_l` is that of a point of link `l`. The event is a contact when this explains
-//! nearly all of it, and better for its number of parameters than a course of its own in each joint and than a base that moves.
+//! nearly all that a course of its own in each joint does, and better for its number of parameters than these and than a base that moves.
 //! Source: Haddadin, De Luca and Albu-Schaeffer, Robot collisions: a survey on detection, isolation, and identification, T-RO 2017.
 
 mod course;
@@ -40,7 +40,7 @@ const COURSE_ERROR_RATIO: f64 = 0.1;
 const MIN_ENERGY_DEVIATIONS: f64 = 10.0;
 /// Time before and after the event that is fitted too \[s\].
 pub(super) const MARGIN_S: f64 = 0.15;
-/// Smallest share of an event's energy that a contact explains.
+/// Smallest share that a contact explains of what courses of torque in each joint do.
 const MIN_EXPLAINED_RATIO: f64 = 0.9;
 /// Largest energy of what swings faster than a course, as a share of what courses explain: a push stirs up less than itself.
 const MAX_STIRRED_RATIO: f64 = 0.5;
@@ -79,7 +79,7 @@ pub struct Contact {
     pub peak: f64,
     /// Mean moment on the arm about the origin of the link's frame, in the base frame \[Nm\].
     pub moment: Vector3<f64>,
-    /// Share of the event's energy that it explains, beyond the noise.
+    /// Share that it explains, within the noise, of what a course of torque of its own in each joint does.
     pub explained: f64,
     /// By how much its score is better than that of what is no contact.
     pub gap: f64,

@@ -43,22 +43,17 @@ impl Noise<'_> {
         let of_part = |part: usize| if part == 0 { 0.0 } else { (-dt / CORRELATION_TIMES_S[part - 1]).exp() };
         let correlations = array::from_fn(of_part);
         let of_joint = |joint: usize| {
+            let means = Means::of(self, joint);
             // Of means over 1, 2, 4, ... blocks the differences of neighbours, which slow noise hardly has; of the longest ones their own deviations.
             let pairs = doubled.clone().map(|count| {
                 let [two, one] = [2 * count, count].map(|count| correlations.map(|one| of_mean(one, count)));
-                let row = array::from_fn(|part| 4.0 * (one[part] - two[part]));
-                (
-                    row,
-                    self.spread_of(2 * count * length, event, |first| {
-                        let [one, next] = [0, 1].map(|k| first + k * count * length);
-                        Some(self.mean(joint, one, count * length)? - self.mean(joint, next, count * length)?)
-                    }),
-                )
+                let shares = array::from_fn(|part| 4.0 * (one[part] - two[part]));
+                let rows = count * length;
+                let difference = |first: usize| Some(means.over(first, rows)? - means.over(first + rows, rows)?);
+                (shares, self.spread_of(2 * rows, event, difference))
             });
-            let longest = (
-                correlations.map(|one| of_mean(one, most)),
-                self.spread_of(most * length, event, |first| self.mean(joint, first, most * length)),
-            );
+            let shares = correlations.map(|one| of_mean(one, most));
+            let longest = (shares, self.spread_of(most * length, event, |first| means.over(first, most * length)));
             Parts::of(correlations, &pairs.chain([longest]).collect::<Vec<_>>())
         };
         (0..self.rest.ncols()).map(of_joint).collect()
@@ -72,13 +67,30 @@ impl Noise<'_> {
         let (_, deviation) = spread(&apart.filter_map(value).collect::<Vec<_>>());
         (1.4826 * deviation * self.ratio).max(1e-9).powi(2)
     }
+}
 
-    /// Mean over so many rows from one on; `None` where fewer than half of them show something.
-    fn mean(&self, joint: usize, first: usize, rows: usize) -> Option<f64> {
-        let shows = |row: &usize| !self.record.masked[*row] && !self.record.hides(*row, joint);
-        let own = (first..first + rows).filter(shows);
-        let (sum, count) = own.fold((0.0, 0), |(sum, count), row| (sum + self.rest[(row, joint)], count + 1));
-        (2 * count >= rows).then(|| sum / count as f64)
+/// Means of a joint's deviations where they show something.
+struct Means {
+    /// Sum and number of those before each row.
+    before: Vec<(f64, usize)>,
+}
+
+impl Means {
+    fn of(noise: &Noise, joint: usize) -> Self {
+        let mut before = vec![(0.0, 0)];
+        for row in 0..noise.rest.nrows() {
+            let (sum, count) = before[row];
+            let shows = !noise.record.masked[row] && !noise.record.hides(row, joint);
+            before.push(if shows { (sum + noise.rest[(row, joint)], count + 1) } else { (sum, count) });
+        }
+        Means { before }
+    }
+
+    /// Over so many rows from one on; `None` where fewer than half of them show something.
+    fn over(&self, first: usize, rows: usize) -> Option<f64> {
+        let [(sum, count), (to_sum, to_count)] = [self.before[first], self.before[first + rows]];
+        let count = to_count - count;
+        (2 * count >= rows).then(|| (to_sum - sum) / count as f64)
     }
 }
 
