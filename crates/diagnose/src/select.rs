@@ -269,8 +269,7 @@ impl<'a> Search<'a> {
             let rest = state.without(&self.problem, item);
             let at = At::of(&rest);
             let chosen = state.items[item].clone();
-            let near = |other: &Candidate| other.meets(&chosen) || other.spec.family == chosen.spec.family;
-            // In another joint it is another explanation where it is worth little beside the chosen one: a gain of one joint is one of all others.
+            // In another joint it is another explanation where it is worth little beside the chosen one: a gain of one joint is one of all others, and cross-talk in the joint before it.
             let beside =
                 |other: &Scored| self.score(&state, &other.item).is_some_and(|own| 2.0 * own.score > other.score);
             let Some(own) = self.score(&rest, &chosen).filter(|own| own.score > 0.0) else {
@@ -278,7 +277,7 @@ impl<'a> Search<'a> {
                 state = rest;
                 continue;
             };
-            let mut others = self.proposed(&rest, |other| near(other) && !other.alike(&chosen), progress);
+            let mut others = self.proposed(&rest, |other| !other.alike(&chosen), progress);
             others.retain(|other| other.score > 0.0 && (other.item.meets(&chosen) || !beside(other)));
             let least = |other: &Scored| match self.evidence().repeats() {
                 true => own.score + if chosen.is_likelier(&other.item) { MIN_FORM_GAP } else { 0.0 },
