@@ -90,9 +90,10 @@ pub(super) fn from_others(
     out
 }
 
-/// Scale of each joint's deviations, as a standard deviation that events don't change \[Nm\].
+/// Scale of each joint's deviations, as a standard deviation that events don't change \[Nm\]; samples that don't count are zero.
 pub(super) fn scales(x: &DMatrix<f64>) -> Vec<f64> {
-    let scale = |column: &[f64]| (1.4826 * spread(column).1).max(1e-9);
+    let counting = |column: &[f64]| column.iter().copied().filter(|value| *value != 0.0).collect::<Vec<_>>();
+    let scale = |column: &[f64]| (1.4826 * spread(&counting(column)).1).max(1e-9);
     x.as_slice().chunks(x.nrows()).map(scale).collect()
 }
 
