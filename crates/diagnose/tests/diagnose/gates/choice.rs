@@ -2,8 +2,8 @@
 
 use super::search::{OFFSET, constant, select, taken};
 use super::synthetic::{At, FLOOR, once, once_with_effect, recorded, with_effect};
-use plumbline_diagnose::{Scored, Search, Settings, State};
-use plumbline_model::term::effect::{Family, Site, Spec};
+use plumbline_diagnose::{Candidate, Scored, Search, Settings, State};
+use plumbline_model::term::effect::{Family, Site, Spec, family};
 use plumbline_model::term::{asymmetric_coulomb, asymmetric_viscous, spring, torque_offset};
 
 #[test]
@@ -91,6 +91,21 @@ fn a_rival_is_what_comes_within_twelve_of_the_score() {
     }
     println!("farthest in {farthest_in}, nearest out {nearest_out}");
     assert!(farthest_in > 5.0 && nearest_out < 30.0, "{farthest_in} {nearest_out}");
+}
+
+#[test]
+fn a_rival_may_be_in_another_joint() {
+    // Cross-talk from the second joint in the first is a gain of the second, for the masses beyond it take over what that has in its own row.
+    let [gain, talk] = ["torque-gain", "torque-crosstalk"];
+    let families = [gain, talk].map(|id| family(id).unwrap());
+    let site = Site::Pair { row: 0, cause: 1 };
+    let spec = Spec { family: talk, form: "", site, settings: Vec::new() };
+    let settings = Settings { steps: 1, ..Settings::default() };
+    let selected = select(&with_effect(4, 9, &spec, 1.8 * FLOOR, constant(0.0)), &families, &settings);
+    let named = |item: &Candidate| (item.spec.family, item.joints());
+    let found: Vec<_> = selected.found[0].rivals.iter().map(|rival| named(&rival.item)).collect();
+    assert_eq!(named(&selected.state.items[0]), (talk, vec![0]), "{found:?}");
+    assert!(found.contains(&(gain, vec![1])), "{found:?}");
 }
 
 #[test]
