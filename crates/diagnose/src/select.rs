@@ -16,10 +16,10 @@ use std::cell::OnceCell;
 
 /// Candidates above this share of the best score are tied, where the noise is unknown.
 pub(super) const TIE_RATIO: f64 = 0.8;
-/// A form whose score is better by no more than this is not preferred to one of the same effect with fewer settings, for outside of the recorded range
-/// they may differ much; nor is an effect that few arms have to one of the same joint that every arm has. Only from here on the evidence is strong (Kass and
-/// Raftery, Journal of the American Statistical Association 90, 1995).
-const MIN_FORM_GAP: f64 = 6.0;
+/// A difference in score from which on the evidence is strong (Kass and Raftery, Journal of the American Statistical Association 90, 1995). A form that is
+/// better by no more is not preferred to one of the same effect with fewer settings, for outside of the recorded range they may differ much; nor is an effect
+/// that few arms have to one of the same joint that every arm has.
+pub(super) const STRONG_GAP: f64 = 6.0;
 /// Least share of a joint's mean square on blocks left out that a change of its friction or encoder takes, where the noise is unknown.
 const MIN_CHANGE_SHARE: f64 = 0.5;
 /// Candidates that an outcome lists.
@@ -220,7 +220,7 @@ impl<'a> Search<'a> {
         let best = proposals.find(|one| self.passes(at, one))?;
         if self.evidence().repeats() {
             let likelier = |item: &Candidate| item.is_likelier(&best.item) && item.meets(&best.item);
-            let near = |one: &Scored| one.score >= best.score - MIN_FORM_GAP && likelier(&one.item);
+            let near = |one: &Scored| one.score >= best.score - STRONG_GAP && likelier(&one.item);
             let near: Vec<Scored> = proposals.filter(|one| near(one) && self.passes(at, one)).collect();
             return [best]
                 .into_iter()
@@ -269,7 +269,8 @@ impl<'a> Search<'a> {
             let rest = state.without(&self.problem, item);
             let at = At::of(&rest);
             let chosen = state.items[item].clone();
-            // In another joint it is another explanation where it is worth little beside the chosen one: a gain of one joint is one of all others, and cross-talk in the joint before it.
+            // In another joint it is another explanation where it is worth little beside the chosen one: a gain of one joint is one of all others, and
+            // cross-talk in the joint before it.
             let beside =
                 |other: &Scored| self.score(&state, &other.item).is_some_and(|own| 2.0 * own.score > other.score);
             let Some(own) = self.score(&rest, &chosen).filter(|own| own.score > 0.0) else {
@@ -280,7 +281,7 @@ impl<'a> Search<'a> {
             let mut others = self.proposed(&rest, |other| !other.alike(&chosen), progress);
             others.retain(|other| other.score > 0.0 && (other.item.meets(&chosen) || !beside(other)));
             let least = |other: &Scored| match self.evidence().repeats() {
-                true => own.score + if chosen.is_likelier(&other.item) { MIN_FORM_GAP } else { 0.0 },
+                true => own.score + if chosen.is_likelier(&other.item) { STRONG_GAP } else { 0.0 },
                 false if other.cost() > own.cost() => (own.score / TIE_RATIO).max(own.score + MAX_RIVAL_SCORE_GAP),
                 false => own.score + MAX_RIVAL_SCORE_GAP,
             };

@@ -6,15 +6,11 @@ use super::evidence::{Evidence, Trial};
 use super::found::Step;
 use super::input::Input;
 use super::proposals::Scored;
-use super::select::{Search, Selected};
+use super::select::{STRONG_GAP, Search, Selected};
 use super::span::Span;
 use super::state::{State, mean_square};
 use super::unseen::{Known, Unseen};
 use plumbline_model::Structure;
-
-/// Smallest difference that refutes what came within the identified runs: the base parameters of the model without it are those of the time since then, so these runs may not tell one from the
-/// other. Strong evidence (Kass and Raftery, Journal of the American Statistical Association 90, 1995).
-const MIN_REFUTING_GAP: f64 = 6.0;
 
 /// Runs that a model is not fitted to.
 #[derive(Clone, Copy)]
@@ -61,8 +57,8 @@ impl<'a> Deciding<'a> {
     }
 }
 
-/// Removes every effect without which unseen runs are expected no less, or more if it came within the identified ones. Where they are the only unseen ones the delivery withholds it instead, and
-/// the reason is said.
+/// Removes every effect without which unseen runs are expected no less, or more by [`STRONG_GAP`] if it came within the identified ones. Where they are the
+/// only unseen ones the delivery withholds it instead, and the reason is said.
 pub fn vetoed(search: &Search, mut selected: Selected, input: &Input, evidence: &Evidence) -> Selected {
     if input.veto.is_empty() || input.judge.is_empty() {
         return selected;
@@ -78,7 +74,8 @@ pub fn vetoed(search: &Search, mut selected: Selected, input: &Input, evidence: 
         let unseen = Unseen::of(evidence, input.structure, input.veto, state, search.operating_point);
         let rest = state.without(&search.problem, item);
         let surprise = |unseen: &Unseen, own: &State| unseen.update_of(&search.problem, own, &state.fit.phi).1;
-        let refuting = if state.items[item].span.is_all() { 0.0 } else { MIN_REFUTING_GAP };
+        // The base parameters of the model without what came are those of the time since then: these runs may not tell one from the other.
+        let refuting = if state.items[item].span.is_all() { 0.0 } else { STRONG_GAP };
         if surprise(&unseen, state) < surprise(&unseen.without(state.range(item)), &rest) + refuting {
             item += 1;
             continue;

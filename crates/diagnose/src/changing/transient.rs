@@ -92,8 +92,7 @@ pub(super) fn from_others(
 
 /// Scale of each joint's deviations, as a standard deviation that events don't change \[Nm\]; samples that don't count are zero.
 pub(super) fn scales(x: &DMatrix<f64>) -> Vec<f64> {
-    let counting = |column: &[f64]| column.iter().copied().filter(|value| *value != 0.0).collect::<Vec<_>>();
-    let scale = |column: &[f64]| (1.4826 * spread(&counting(column)).1).max(1e-9);
+    let scale = |column: &[f64]| (1.4826 * spread_of_counting(column).1).max(1e-9);
     x.as_slice().chunks(x.nrows()).map(scale).collect()
 }
 
@@ -114,7 +113,7 @@ pub(super) fn events(x: &DMatrix<f64>, dt: f64, min_deviations: f64) -> Vec<Even
     for (column, flagged) in x.as_slice().chunks(rows).zip(&mut flagged) {
         let energy: Vec<f64> =
             starts.iter().map(|&start| column[start..start + window].iter().map(|x| x * x).sum()).collect();
-        let (middle, deviation) = spread_of_positive(&energy);
+        let (middle, deviation) = spread_of_counting(&energy);
         for (&start, energy) in starts.iter().zip(&energy) {
             if *energy > middle + min_deviations * deviation && *energy > 0.0 {
                 flagged[start..start + window].fill(true);
@@ -139,7 +138,7 @@ pub(super) fn events(x: &DMatrix<f64>, dt: f64, min_deviations: f64) -> Vec<Even
             (sums[to] - sums[from]) / (to - from) as f64
         };
         let all: Vec<f64> = (0..rows).map(short).collect();
-        let (middle, deviation) = spread_of_positive(&all);
+        let (middle, deviation) = spread_of_counting(&all);
         let peak = all[first..last].iter().copied().fold(0.0, f64::max);
         let least = (middle + LASTING_RATIO * min_deviations * deviation).max(LASTING_PEAK_RATIO * peak);
         let lasting: Vec<bool> = (0..rows).map(|row| (first..last).contains(&row) && all[row] > least).collect();
@@ -156,8 +155,8 @@ pub(super) fn events(x: &DMatrix<f64>, dt: f64, min_deviations: f64) -> Vec<Even
 }
 
 /// Median and median distance from it without samples that don't count, which are zero.
-fn spread_of_positive(energies: &[f64]) -> (f64, f64) {
-    spread(&energies.iter().copied().filter(|energy| *energy > 0.0).collect::<Vec<_>>())
+fn spread_of_counting(values: &[f64]) -> (f64, f64) {
+    spread(&values.iter().copied().filter(|value| *value != 0.0).collect::<Vec<_>>())
 }
 
 /// Marks the rows of events, with some on either side \[s\].

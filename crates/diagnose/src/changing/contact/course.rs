@@ -202,7 +202,8 @@ impl Torques {
     }
 }
 
-fn ridged(mut g: DMatrix<f64>) -> Option<Cholesky<f64, Dyn>> {
+/// Factor of a matrix with [`RIDGE_RATIO`] on its diagonal.
+pub(super) fn ridged(mut g: DMatrix<f64>) -> Option<Cholesky<f64, Dyn>> {
     let ridge = RIDGE_RATIO * g.diagonal().max();
     (0..g.nrows()).for_each(|k| g[(k, k)] += ridge);
     g.cholesky()

@@ -22,7 +22,6 @@ use course::{Course, Normal, SETTLED_RATIO, Torques};
 use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 use plumbline_model::term::effect::OperatingPoint;
 use plumbline_model::{Chain, JointKind, Placement};
-use std::cmp::Ordering;
 
 /// Smallest difference of a contact's score to that of what is no contact. Noise alone reaches 3.
 const MIN_GAP: f64 = 12.0;
@@ -34,7 +33,8 @@ const MAX_KNOTS: usize = 24;
 const BLOCK_S: f64 = 0.05;
 /// Largest number of means in an event; over a longer one more of the torques are averaged.
 const MAX_BLOCKS: usize = 96;
-/// What a course with a knot every tenth of a second lacks of a push that begins at once, as a share of the RMS torque of a joint: noise of its own in each block.
+/// What a course with a knot every tenth of a second lacks of a push that begins at once, as a share of the RMS torque of a joint: noise of its own in each
+/// block.
 const COURSE_ERROR_RATIO: f64 = 0.1;
 /// Median deviations from the median energy that make a second stand out as what may be a contact.
 const MIN_ENERGY_DEVIATIONS: f64 = 10.0;
@@ -186,13 +186,12 @@ pub(super) fn contact(
     let place = |one: &Fitted| (far(one), one.act.rank(), one.course.rss > least(one) + MAX_RIVAL_SCORE_GAP, one.link);
     let places: Vec<_> = tried.iter().map(place).collect();
     let mut ordered: Vec<_> = places.into_iter().zip(tried).collect();
-    ordered.sort_by(|(a, _), (b, _)| a.partial_cmp(b).unwrap_or(Ordering::Equal));
-    let tried: Vec<Fitted> = ordered.into_iter().map(|(_, one)| one).collect();
-    let reported = |one: Fitted| {
+    ordered.sort_by_key(|(place, _)| *place);
+    let reported = |(_, one)| {
         let gap = data.gap(&rivals, &one);
         (gap >= MIN_GAP).then(|| data.report(record, event, &one, gap)).flatten()
     };
-    tried.into_iter().find_map(reported)
+    ordered.into_iter().find_map(reported)
 }
 
 impl Data<'_> {

@@ -5,7 +5,7 @@
 //! is linear in each of `s`, `d` and `p` alone, and taking turns creeps along the valley of those that explain nearly as much.
 //! Levenberg and Marquardt's method follows it.
 
-use super::course::{Course, Normal, SETTLED_RATIO};
+use super::course::{Course, Normal, SETTLED_RATIO, ridged};
 use super::{Act, Data, Fitted, MAX_LEVER_M};
 use nalgebra::{DMatrix, DVector, Vector3};
 
@@ -35,9 +35,8 @@ impl Data<'_> {
         let mut damping = DAMPING[0];
         for _ in 0..MAX_STEPS {
             let mut g = normal.g.clone();
-            let most = g.diagonal().max();
-            (0..g.nrows()).for_each(|k| g[(k, k)] += damping * g[(k, k)] + 1e-9 * most);
-            let Some(step) = g.cholesky().map(|factor| factor.solve(&normal.b)) else { break };
+            (0..g.nrows()).for_each(|k| g[(k, k)] *= 1.0 + damping);
+            let Some(step) = ridged(g).map(|factor| factor.solve(&normal.b)) else { break };
             let next = push.after(&step);
             let (own, left) = self.normal_of(start.link, &next);
             if left < rss {
