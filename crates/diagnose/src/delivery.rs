@@ -13,8 +13,8 @@ use super::state::State;
 use super::unseen::{Known, Residuals, Taken, Unseen};
 use nalgebra::{DMatrix, DVector};
 use plumbline_core::parallel;
-use plumbline_identify::solve::{Estimator, Identification, identify_weighted, identify_with};
-use plumbline_identify::{EstimateError, Experiment, Modelled};
+use plumbline_identify::solve::{Equations, Estimator, Identification};
+use plumbline_identify::{EstimateError, Modelled};
 use plumbline_model::TorqueModel;
 use plumbline_model::term::effect::{self, Spec};
 use plumbline_model::term::{Column, Expected, Motion};
@@ -39,8 +39,8 @@ pub struct Delivery<'a> {
     pub unseen: &'a Evidence,
     /// The same without what acts in a part of the recording.
     pub unseen_without: &'a [Trial<'a>],
-    /// The runs to identify from, alike.
-    pub experiments: &'a [Experiment],
+    /// The plain structure along the runs to identify from, alike.
+    pub equations: &'a Equations<'a>,
     /// What acts in a part of the recording.
     pub acting: &'a Acting<'a>,
     /// The plain model.
@@ -58,7 +58,7 @@ impl Delivery<'_> {
     /// be withheld for another reason: see [`Delivery::reason`].
     ///
     /// # Errors
-    /// As [`identify_with`].
+    /// As [`Equations::identify`].
     pub fn of(
         &self,
         selected: &Selected,
@@ -228,25 +228,23 @@ impl Delivery<'_> {
         let terms =
             effect::assemble(&specs, &self.input.structure.operating_point(beta)).ok().filter(|_| !specs.is_empty());
         match terms.and_then(|terms| self.input.structure.clone().with(terms).ok()) {
-            Some(structure) => Ok(identify_with(&structure, self.experiments, self.input.options)?.sigma),
+            Some(structure) => Ok(self.equations.extended(structure)?.identify(self.input.options)?.sigma),
             None => Ok(self.before.sigma.clone()),
         }
     }
 
     /// Identified as a whole.
     fn extended(&self, state: &State, kept: &[bool]) -> Result<Fitted, EstimateError> {
-        let Delivery { input, experiments, before, .. } = *self;
+        let Delivery { input, equations, before, .. } = *self;
+        let experiments = equations.experiments();
         let plain = || Fitted { structure: input.structure.clone(), identification: before.clone() };
         let specs: Vec<Spec> =
             state.items.iter().zip(kept).filter(|(_, kept)| **kept).map(|(item, _)| item.spec.clone()).collect();
         if specs.is_empty() {
-            let structure = input.structure.clone();
             let as_before = experiments.iter().all(|experiment| experiment.as_recorded().is_none());
             return match self.acting.is_empty() && as_before {
                 true => Ok(plain()),
-                false => {
-                    Ok(Fitted { identification: identify_with(&structure, experiments, input.options)?, structure })
-                }
+                false => Ok(Fitted { identification: equations.identify(input.options)?, ..plain() }),
             };
         }
         let mut beta = state.fit.theta.as_slice().to_vec();
@@ -261,9 +259,10 @@ impl Delivery<'_> {
             let Some(structure) = terms.and_then(|terms| input.structure.clone().with(terms).ok()) else {
                 return Ok(plain());
             };
+            let equations = equations.extended(structure)?;
             let identification = match &sigma {
-                Some(sigma) => identify_weighted(&structure, experiments, sigma)?,
-                None => identify_with(&structure, experiments, input.options)?,
+                Some(sigma) => equations.identify_weighted(sigma)?,
+                None => equations.identify(input.options)?,
             };
             let plain = 0..input.structure.columns().len();
             let near = plain.into_iter().all(|c| {
@@ -271,7 +270,7 @@ impl Delivery<'_> {
                     .is_none_or(|std| (identification.beta[c] - beta[c]).abs() <= SETTLED_DEVIATIONS * std)
             });
             beta.clone_from(&identification.beta);
-            fitted = Fitted { structure, identification };
+            fitted = Fitted { structure: equations.structure().clone(), identification };
             if near {
                 break;
             }

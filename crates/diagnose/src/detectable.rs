@@ -1,6 +1,6 @@
 //! How small an effect could be and still be found, so that "nothing" is a number.
 
-use super::fit::{every, least_independence};
+use super::fit::least_independence;
 use super::library::Candidate;
 use super::outcome::{self, MinimumDetectable, NotIdentifiable};
 use super::select::Search;
@@ -24,8 +24,8 @@ pub fn independences<'a>(search: &Search<'a>, base: &State) -> Vec<(&'a Candidat
         let variants: Vec<&'a Candidate> = library.iter().filter(|one| one.alike(item)).collect();
         let some = [0, variants.len() / 2, variants.len() - 1].map(|k| variants[k]);
         let independences = some.into_iter().filter_map(|one| {
-            let cross = base.columns.cross(search.problem.evidence, &one.rows);
-            Some((one, search.problem.own_share(&base.fit, &cross, &every)?))
+            let cross = base.cross(search.problem.evidence, &one.rows);
+            Some((one, search.problem.own_share(&base.fit, &cross)?))
         });
         independences.max_by(|a, b| a.1.total_cmp(&b.1))
     };

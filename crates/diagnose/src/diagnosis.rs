@@ -30,7 +30,7 @@ use super::span::Span;
 use super::state::State;
 use super::unseen::{THRESHOLD_FLOOR_RATIO, Unseen, columns_of};
 use super::veto::{Deciding, end_where_refuted, vetoed};
-use plumbline_identify::solve::identify_with;
+use plumbline_identify::solve::Equations;
 use plumbline_identify::{EstimateError, Experiment};
 use plumbline_model::term::effect;
 use plumbline_model::term::effect::{OperatingPoint, Spec};
@@ -68,7 +68,7 @@ const MIN_RELINEARISATION_GAIN: f64 = 4.0;
 /// Diagnoses a set of runs of one arm. `progress` is called at every step of the selection and with every candidate.
 ///
 /// # Errors
-/// As [`identify_with`].
+/// As [`Equations::of`] and [`Equations::identify`].
 pub fn diagnose(input: &Input, settings: &Settings, progress: &Watch) -> Result<Outcome, EstimateError> {
     let structure = input.structure;
     let experiments: Vec<Experiment> = input.identify.iter().map(|trial| trial.experiment.clone()).collect();
@@ -76,7 +76,8 @@ pub fn diagnose(input: &Input, settings: &Settings, progress: &Watch) -> Result<
     let drifting: Vec<Experiment> = experiments.iter().filter_map(Experiment::as_recorded).collect();
     let drifts = drifting.len() == experiments.len();
     let recorded = if drifts { &drifting } else { &experiments };
-    let before = identify_with(structure, recorded, input.options)?;
+    let equations = Equations::of(structure.clone(), recorded)?;
+    let before = equations.identify(input.options)?;
     let with_drift = drifts.then(|| plain_facts(structure, &trials_of(recorded.iter(), input.identify), settings));
     let evidence = Evidence::of(structure.chain(), input.identify, settings.band);
     let columns = columns_of(&evidence, structure, input.identify);
@@ -113,9 +114,14 @@ pub fn diagnose(input: &Input, settings: &Settings, progress: &Watch) -> Result<
         (before, taken, adequacy)
     };
     let acting = Acting::of(structure.chain(), &selected.state, operating_point, input.identify);
-    let experiments = match acting.is_empty() {
-        true => experiments,
+    let without: Vec<Experiment> = match acting.is_empty() {
+        true => Vec::new(),
         false => acting.taken_off(input.identify).into_iter().map(Cow::into_owned).collect(),
+    };
+    let experiments = if acting.is_empty() { &experiments } else { &without };
+    let equations = match acting.is_empty() && !drifts {
+        true => equations,
+        false => Equations::of(structure.clone(), experiments)?,
     };
     let [veto, judge] = [input.veto, input.judge].map(|trials| acting.taken_off(trials));
     let identified = trials_of(experiments.iter(), input.identify);
@@ -126,7 +132,7 @@ pub fn diagnose(input: &Input, settings: &Settings, progress: &Watch) -> Result<
         input,
         unseen: &unseen,
         unseen_without,
-        experiments: &experiments,
+        equations: &equations,
         acting: &acting,
         before: &before,
         seeds: &seeds,

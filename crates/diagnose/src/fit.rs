@@ -10,7 +10,7 @@
 //! has no known scale, `v` is 0 and `phi` is near `RSS / n`.
 
 use super::evidence::{BAND_EDGES_HZ, Evidence, LOW_BANDS};
-use super::moments::{Cross, Moments};
+use super::moments::{GroupedCross, Moments};
 use nalgebra::{DMatrix, DVector};
 use plumbline_core::symmetric_eigen;
 
@@ -342,19 +342,16 @@ impl Problem<'_> {
         g
     }
 
-    /// What a candidate would bring to a fit of the chosen folds, with the weights of that fit. With `joints`, the other joints are taken
-    /// as if nothing changed there, which is quicker.
-    pub fn gain(&self, fit: &Fit, cross: &Cross, chosen: Chosen, joints: Option<&[usize]>) -> Option<Gain> {
+    /// What a candidate would bring to a fit of all folds, with the weights of that fit. With `joints`, the other joints are taken as if nothing
+    /// changed there, which is quicker.
+    pub fn gain(&self, fit: &Fit, cross: &GroupedCross, joints: Option<&[usize]>) -> Option<Gain> {
         let (p, l) = (fit.theta.len(), cross.width);
         let (mut a, mut c, mut d) = (DMatrix::zeros(p, l), DMatrix::zeros(l, l), DVector::zeros(l));
-        for (index, own) in &cross.cells {
-            let cell = &self.evidence.cells()[*index];
-            if chosen(cell.fold) {
-                let weight = 1.0 / fit.weights[group(cell.joint, cell.band)];
-                a.zip_apply(&own.a, |sum, own| *sum += weight * own);
-                c.zip_apply(&own.c, |sum, own| *sum += weight * own);
-                d.axpy(weight, &own.d, 1.0);
-            }
+        for (group, own) in &cross.groups {
+            let weight = 1.0 / fit.weights[*group];
+            a.zip_apply(&own.a, |sum, own| *sum += weight * own);
+            c.zip_apply(&own.c, |sum, own| *sum += weight * own);
+            d.axpy(weight, &own.d, 1.0);
         }
         let ha = &fit.h * &a;
         let alone = &c - a.tr_mul(&ha);
@@ -363,7 +360,7 @@ impl Problem<'_> {
         let shift = -(ha * &gamma);
         let whole = (&c * &gamma).dot(&gamma);
         let independence = (&alone * &gamma).dot(&gamma) / whole.max(f64::MIN_POSITIVE);
-        let rss = self.changed(fit, cross, chosen, joints, &gamma, &shift);
+        let rss = self.changed(fit, cross, joints, &gamma, &shift);
         let likelihood = self.likelihood(&rss, &fit.count) + self.of_prior(&(&fit.theta + &shift));
         let evidence = 2.0 * (likelihood - fit.likelihood);
         let falls = fit.rss.iter().zip(&rss).zip(&fit.weights).map(|((before, after), phi)| (before - after) / phi);
@@ -372,16 +369,13 @@ impl Problem<'_> {
     }
 
     /// Share of a candidate's first column that the other columns cannot represent.
-    pub fn own_share(&self, fit: &Fit, cross: &Cross, chosen: Chosen) -> Option<f64> {
+    pub fn own_share(&self, fit: &Fit, cross: &GroupedCross) -> Option<f64> {
         let mut a = DVector::zeros(fit.theta.len());
         let mut c = 0.0;
-        for (index, own) in &cross.cells {
-            let cell = &self.evidence.cells()[*index];
-            if chosen(cell.fold) {
-                let weight = 1.0 / fit.weights[group(cell.joint, cell.band)];
-                a.axpy(weight, &own.a.column(0), 1.0);
-                c += weight * own.c[(0, 0)];
-            }
+        for (group, own) in &cross.groups {
+            let weight = 1.0 / fit.weights[*group];
+            a.axpy(weight, &own.a.column(0), 1.0);
+            c += weight * own.c[(0, 0)];
         }
         (c > 0.0).then(|| ((c - (&fit.h * &a).dot(&a)) / c).clamp(0.0, 1.0))
     }
@@ -390,8 +384,7 @@ impl Problem<'_> {
     fn changed(
         &self,
         fit: &Fit,
-        cross: &Cross,
-        chosen: Chosen,
+        cross: &GroupedCross,
         joints: Option<&[usize]>,
         gamma: &DVector<f64>,
         shift: &DVector<f64>,
@@ -404,12 +397,8 @@ impl Problem<'_> {
             }
         }
         let theta = &fit.theta + shift;
-        for (index, own) in &cross.cells {
-            let cell = &self.evidence.cells()[*index];
-            if chosen(cell.fold) {
-                let own_rss = (&own.c * gamma).dot(gamma) - 2.0 * (own.d.dot(gamma) - own.a.tr_mul(&theta).dot(gamma));
-                rss[group(cell.joint, cell.band)] += own_rss;
-            }
+        for (group, own) in &cross.groups {
+            rss[*group] += (&own.c * gamma).dot(gamma) - 2.0 * (own.d.dot(gamma) - own.a.tr_mul(&theta).dot(gamma));
         }
         rss.iter_mut().for_each(|value| *value = value.max(0.0));
         rss

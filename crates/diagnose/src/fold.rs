@@ -263,9 +263,11 @@ pub(super) fn folds_of(
         }
         let blocks = (seconds / length).round().max(1.0) as usize;
         // Whole steps, so that candidates have the same blocks.
-        let (first, count) = (moving.start.div_ceil(step), moving.end / step - moving.start.div_ceil(step));
+        let (mut first, last) = (moving.start.div_ceil(step), moving.end / step);
         for block in 0..blocks {
-            let thin = first + block * count / blocks..first + (block + 1) * count / blocks;
+            let length = transformed(last - first, blocks - block);
+            let thin = first..first + length;
+            first = thin.end;
             let span = thin.start * step..thin.end * step;
             let n = span.len();
             let rows = ((2.0 * highest * n as f64 * dt) as usize + 1).min(thin.len());
@@ -275,6 +277,24 @@ pub(super) fn folds_of(
         }
     }
     folds
+}
+
+/// Length of the next of so many blocks of so many samples: near their mean one that a Fourier transform takes apart, even and without a prime factor
+/// above 7. A prime one takes up to eight times as long. What the last block has too much is left out, no more than some samples.
+fn transformed(samples: usize, blocks: usize) -> usize {
+    let is_fast = |length: &usize| {
+        let rest = [2, 3, 5, 7].into_iter().fold(*length, |mut rest, factor| {
+            while rest.is_multiple_of(factor) {
+                rest /= factor;
+            }
+            rest
+        });
+        length.is_multiple_of(2) && rest == 1
+    };
+    let mean = samples / blocks;
+    let below = (2..=mean).rev().find(is_fast);
+    let above = (mean..=samples).find(is_fast).filter(|above| blocks > 1 && above + below.unwrap_or(0) < 2 * mean);
+    above.or(below).unwrap_or(mean)
 }
 
 /// Stretches of samples without rest.
@@ -292,4 +312,28 @@ fn stretches(resting: &[bool]) -> Vec<Range<usize>> {
         }
     }
     found
+}
+
+#[cfg(test)]
+mod tests {
+    use super::transformed;
+
+    #[test]
+    fn blocks_have_lengths_that_are_transformed_fast_and_lose_some_samples_at_the_end() {
+        for (samples, blocks) in [(10_948, 20), (547, 1), (2003, 3), (90, 1), (3000, 7)] {
+            let (mut left, mut lengths) = (samples, Vec::new());
+            for block in 0..blocks {
+                lengths.push(transformed(left, blocks - block));
+                left -= lengths[block];
+            }
+            let mean = samples / blocks;
+            for length in lengths {
+                let rest = [2, 3, 5, 7].iter().fold(length, |rest, factor| {
+                    (0..9).fold(rest, |rest, _| if rest % factor == 0 { rest / factor } else { rest })
+                });
+                assert!(length % 2 == 0 && rest == 1 && length.abs_diff(mean) <= mean / 20, "{length} of {mean}");
+            }
+            assert!(left <= mean / 20, "{left} of {samples} are left");
+        }
+    }
 }

@@ -3,10 +3,12 @@
 //! With `M` the columns of a model, `C` those of a candidate and `r` the torques, in one cell, these are `M'M`, `M'r`, `r'r` and `M'C`,
 //! `C'C`, `C'r`. Weighing a band anew or leaving a trajectory out is another sum of the same small matrices.
 
-use super::evidence::Evidence;
+use super::evidence::{BAND_EDGES_HZ, Evidence};
+use super::fit::group;
 use super::rows::Rows;
-use nalgebra::{DMatrix, DVector};
+use nalgebra::{DMatrix, DMatrixView, DVector, DVectorView};
 use plumbline_core::transposed_product;
+use std::ops::Range;
 
 /// Of one model on all cells.
 #[derive(Clone, Debug)]
@@ -52,6 +54,17 @@ pub struct CrossMoment {
     pub d: DVector<f64>,
 }
 
+/// Of a candidate with a model, in the groups of the candidate's joints: all folds together.
+#[derive(Clone, Debug)]
+pub struct GroupedCross {
+    /// Columns of the candidate.
+    pub width: usize,
+    /// Whether they are [exact](Rows::exact).
+    pub exact: bool,
+    /// The group and its sums.
+    pub groups: Vec<(usize, CrossMoment)>,
+}
+
 /// The columns of a model and the torques, per joint, divided by the noise.
 #[derive(Clone, Debug)]
 pub struct Columns {
@@ -75,7 +88,7 @@ impl Columns {
     }
 
     /// Without some of its columns.
-    pub fn without(&self, gone: std::ops::Range<usize>) -> Columns {
+    pub fn without(&self, gone: Range<usize>) -> Columns {
         let kept = |m: &DMatrix<f64>| m.clone().remove_columns(gone.start, gone.len());
         Columns { m: self.m.iter().map(kept).collect(), r: self.r.clone() }
     }
@@ -98,12 +111,62 @@ impl Columns {
             let Some(c) = rows.in_cell(cell) else { continue };
             let m = self.m[cell.joint].rows(cell.rows.start, cell.rows.len());
             let r = self.r[cell.joint].rows(cell.rows.start, cell.rows.len());
-            cells.push((
-                index,
-                CrossMoment { a: transposed_product(&m, &c), c: transposed_product(&c, &c), d: c.tr_mul(&r) },
-            ));
+            cells.push((index, CrossMoment::of(&m, &c, &r)));
         }
         Cross { width: rows.width, exact: rows.exact, cells }
+    }
+}
+
+/// The columns of a model with the rows of a group side by side. What a candidate brings to all folds together, which is asked of every candidate of the
+/// library, is a few products of long columns then instead of many of short ones.
+#[derive(Clone, Debug)]
+pub struct GroupedColumns {
+    /// The columns in this order.
+    columns: Columns,
+    /// Rows of a joint, band by band.
+    order: Vec<usize>,
+    /// The rows of each band in that order.
+    bands: Vec<Range<usize>>,
+}
+
+impl GroupedColumns {
+    /// Of columns.
+    pub fn of(columns: &Columns, evidence: &Evidence) -> GroupedColumns {
+        let (mut order, mut bands) = (Vec::new(), Vec::new());
+        for band in 0..BAND_EDGES_HZ.len() {
+            let first = order.len();
+            let own = evidence.cells().iter().filter(|cell| cell.joint == 0 && cell.band == band);
+            order.extend(own.flat_map(|cell| cell.rows.clone()));
+            bands.push(first..order.len());
+        }
+        let m = columns.m.iter().map(|m| m.select_rows(&order)).collect();
+        let r = columns.r.iter().map(|r| r.select_rows(&order)).collect();
+        GroupedColumns { columns: Columns { m, r }, order, bands }
+    }
+
+    /// The sums of a candidate with them.
+    pub fn cross(&self, rows: &Rows) -> GroupedCross {
+        let mut groups = Vec::new();
+        for joint in rows.joints() {
+            let Some(part) = rows.of(joint) else { continue };
+            let c = part.select_rows(&self.order);
+            for (band, rows) in self.bands.iter().enumerate() {
+                // What acts in a part of the recording is zero before and after it.
+                let acts = |row: &usize| c.row(*row).iter().any(|value| *value != 0.0);
+                let Some(first) = rows.clone().find(acts) else { continue };
+                let count = rows.clone().rev().find(acts).map_or(0, |last| last + 1 - first);
+                let [m, c] = [&self.columns.m[joint], &c].map(|all| all.rows(first, count));
+                let r = self.columns.r[joint].rows(first, count);
+                groups.push((group(joint, band), CrossMoment::of(&m, &c, &r)));
+            }
+        }
+        GroupedCross { width: rows.width, exact: rows.exact, groups }
+    }
+}
+
+impl CrossMoment {
+    fn of(m: &DMatrixView<f64>, c: &DMatrixView<f64>, r: &DVectorView<f64>) -> CrossMoment {
+        CrossMoment { a: transposed_product(m, c), c: transposed_product(c, c), d: c.tr_mul(r) }
     }
 }
 
@@ -128,7 +191,7 @@ impl Moments {
     }
 
     /// The model without some of its columns.
-    pub fn without(&self, gone: std::ops::Range<usize>) -> Moments {
+    pub fn without(&self, gone: Range<usize>) -> Moments {
         let less = |own: &Moment| Moment {
             g: own.g.clone().remove_rows(gone.start, gone.len()).remove_columns(gone.start, gone.len()),
             b: own.b.clone().remove_rows(gone.start, gone.len()),

@@ -4,7 +4,6 @@
 //! a joint) and `2 ln N` for a library of `N` columns (extended Bayesian information criterion, Chen and Chen, Biometrika 95, 2008).
 
 use super::changing::WARMING_TIME_CONSTANTS_S;
-use super::fit::every;
 use super::found::{Progress, Watch};
 use super::library::{Candidate, is_undeclared_coupling};
 use super::search;
@@ -92,14 +91,14 @@ impl Search<'_> {
             if !usable {
                 return f64::NEG_INFINITY;
             }
-            let cross = state.columns.cross(self.evidence(), &item.rows);
+            let cross = state.cross(self.evidence(), &item.rows);
             let penalty = self.penalty(item);
             // A torque gain is taken over by the masses beyond its joint, which the joints before it then have wrong.
-            let own = self.problem.gain(&state.fit, &cross, &every, Some(&item.joints()));
+            let own = self.problem.gain(&state.fit, &cross, Some(&item.joints()));
             let elsewhere = own.as_ref().is_some_and(|own| own.elsewhere > MIN_START_GAIN_RATIO * penalty);
             let (fit, gain) = match own {
-                None => (quiet(), self.problem.gain(quiet(), &cross, &every, None)),
-                Some(_) if elsewhere => (&state.fit, self.problem.gain(&state.fit, &cross, &every, None)),
+                None => (quiet(), self.problem.gain(quiet(), &cross, None)),
+                Some(_) if elsewhere => (&state.fit, self.problem.gain(&state.fit, &cross, None)),
                 own => (&state.fit, own),
             };
             gain.map_or(f64::NEG_INFINITY, |gain| {
@@ -138,8 +137,8 @@ impl Search<'_> {
         let form = item.spec.family().ok().and_then(|family| family.form(item.spec.form));
         let Some(form) = form.filter(|form| !form.settings.is_empty()) else { return item };
         let gain = |item: &Candidate| {
-            let cross = state.columns.cross(self.evidence(), &item.rows);
-            let gain = self.problem.gain(&state.fit, &cross, &every, None);
+            let cross = state.cross(self.evidence(), &item.rows);
+            let gain = self.problem.gain(&state.fit, &cross, None);
             gain.map_or(f64::NEG_INFINITY, |gain| item.plausibility(gain.gamma.as_slice()) * gain.evidence)
         };
         let before = gain(&item);
@@ -186,8 +185,8 @@ impl Search<'_> {
             (length, BEGIN_RESOLUTION_S)
         };
         let gain = |item: &Candidate| {
-            let cross = state.columns.cross(evidence, &item.rows);
-            let gain = self.problem.gain(&state.fit, &cross, &every, None);
+            let cross = state.cross(evidence, &item.rows);
+            let gain = self.problem.gain(&state.fit, &cross, None);
             gain.map_or(f64::NEG_INFINITY, |gain| gain.evidence)
         };
         // Blocks are short against the time that an effect lasts: there is one maximum nearby.

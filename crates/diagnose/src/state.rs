@@ -3,10 +3,12 @@
 use super::evidence::{BAND_EDGES_HZ, Evidence};
 use super::fit::{Fit, Problem, every};
 use super::library::Candidate;
-use super::moments::{Columns, Cross, Moments};
+use super::moments::{Columns, Cross, GroupedColumns, GroupedCross, Moments};
+use super::rows::Rows;
 use nalgebra::DVector;
 use plumbline_model::term::effect::Site;
 use std::ops::Range;
+use std::sync::OnceLock;
 
 /// Base and effects with their fit.
 #[derive(Clone, Debug)]
@@ -21,6 +23,7 @@ pub struct State {
     pub moments: Moments,
     /// The fit to all folds.
     pub fit: Fit,
+    grouped: OnceLock<GroupedColumns>,
 }
 
 impl State {
@@ -28,7 +31,7 @@ impl State {
     pub fn base(problem: &Problem, columns: Columns) -> State {
         let moments = columns.moments(problem.evidence);
         let fit = problem.fit(&moments, &every, None);
-        State { base: moments.width, items: Vec::new(), columns, moments, fit }
+        State { base: moments.width, items: Vec::new(), columns, moments, fit, grouped: OnceLock::new() }
     }
 
     /// Columns of an effect.
@@ -70,7 +73,7 @@ impl State {
         columns.push(&item.rows);
         let mut items = self.items.clone();
         items.push(item);
-        State { base: self.base, items, columns, moments, fit }
+        State { base: self.base, items, columns, moments, fit, grouped: OnceLock::new() }
     }
 
     /// Without one effect.
@@ -80,14 +83,21 @@ impl State {
         let fit = problem.fit(&moments, &every, Some(&self.fit.phi));
         let mut items = self.items.clone();
         items.remove(item);
-        State { base: self.base, items, columns: self.columns.without(gone), moments, fit }
+        let columns = self.columns.without(gone);
+        State { base: self.base, items, columns, moments, fit, grouped: OnceLock::new() }
+    }
+
+    /// The sums of a candidate with all columns, all folds together.
+    pub fn cross(&self, evidence: &Evidence, rows: &Rows) -> GroupedCross {
+        self.grouped.get_or_init(|| GroupedColumns::of(&self.columns, evidence)).cross(rows)
     }
 
     /// Fits state and candidate together until the weights converge; `None` when the candidate is not identifiable.
     pub fn try_in(&self, problem: &Problem, item: &Candidate) -> Option<Tried> {
         let cross = self.columns.cross(problem.evidence, &item.rows);
-        let quiet = || problem.gain(&problem.quiet(&self.fit, &self.moments), &cross, &every, None);
-        let gain = problem.gain(&self.fit, &cross, &every, None).or_else(quiet)?;
+        let grouped = self.cross(problem.evidence, &item.rows);
+        let quiet = || problem.gain(&problem.quiet(&self.fit, &self.moments), &grouped, None);
+        let gain = problem.gain(&self.fit, &grouped, None).or_else(quiet)?;
         let moments = self.moments.with(&cross);
         let fit = problem.fit(&moments, &every, Some(&self.fit.phi));
         let evidence = 2.0 * (fit.likelihood - self.fit.likelihood);

@@ -81,7 +81,7 @@ pub use prediction::TorqueUncertainty;
 pub use run::Run;
 pub use settings::{Derivative, ExcludedSpan, Method, Settings};
 pub use timeline::Timeline;
-pub use validate::{Modelled, Rms, compare, torques, validate, validate_parameters};
+pub use validate::{Modelled, Rms, compare, validate, validate_parameters};
 
 /// Error of preparing runs and identifying parameters.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]

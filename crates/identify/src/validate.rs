@@ -110,11 +110,5 @@ pub fn compare(experiment: &Experiment, modelled: &Modelled) -> Rms {
 
 /// [`validate`] for a structure and its parameters.
 pub fn validate_parameters(experiment: &Experiment, structure: &Structure, beta: &[f64]) -> Rms {
-    validate(experiment, |motion| torques(structure, beta, motion))
-}
-
-/// `Y beta` along a motion, N x n \[Nm\].
-pub fn torques(structure: &Structure, beta: &[f64], motion: &Motion) -> DMatrix<f64> {
-    let stacked = structure.regressor(motion) * nalgebra::DVector::from_column_slice(beta);
-    DMatrix::from_column_slice(motion.samples(), motion.joints(), stacked.as_slice())
+    validate(experiment, |motion| structure.torques(beta, motion))
 }

@@ -3,6 +3,7 @@
 use super::base::{BaseKind, INDEPENDENCE, Reduction, project_out};
 use super::chain::Chain;
 use super::expression::six_digits;
+use super::fast::closed::ClosedForm;
 use super::gravity::Mounting;
 use super::term::effect::{EffectError, FAMILIES, OperatingPoint};
 use super::term::load::Load;
@@ -282,12 +283,40 @@ impl Structure {
     /// The regressor `W` of a motion, n N rows (joint `j` from 0, sample `k`: row `j N + k`), one column per parameter:
     /// `tau = W beta`. Panics when the motion has another number of joints than the arm.
     pub fn regressor(&self, motion: &Motion) -> DMatrix<f64> {
+        self.regressor_from(0, motion)
+    }
+
+    /// The columns of [`Structure::regressor`] that the terms from `first` on have.
+    pub fn regressor_from(&self, first: usize, motion: &Motion) -> DMatrix<f64> {
         assert_eq!(motion.joints(), self.chain.len(), "joints of the motion and of the arm");
-        let mut y = DMatrix::zeros(motion.joints() * motion.samples(), self.columns.len());
-        for (term, range) in self.terms.iter().zip(self.ranges()) {
-            term.fill(&self.chain, motion, &mut y, range.start);
+        let before: usize = self.terms[..first].iter().map(|term| term.columns().len()).sum();
+        let mut y = DMatrix::zeros(motion.joints() * motion.samples(), self.columns.len() - before);
+        for (term, range) in self.terms.iter().zip(self.ranges()).skip(first) {
+            term.fill(&self.chain, motion, &mut y, range.start - before);
         }
         y
+    }
+
+    /// `W beta` along a motion, N x n \[Nm\]. Terms with a closed form are evaluated by it, sample after sample: without a column of `W`.
+    pub fn torques(&self, beta: &[f64], motion: &Motion) -> DMatrix<f64> {
+        let (samples, n) = (motion.samples(), motion.joints());
+        let mut closed = ClosedForm::default();
+        let mut tau = DMatrix::zeros(samples, n);
+        for (term, range) in self.terms.iter().zip(self.ranges()) {
+            let beta = &beta[range];
+            if term.fix(&self.chain, &motion.gravity, beta).join(&mut closed) {
+                continue;
+            }
+            let mut y = DMatrix::zeros(n * samples, beta.len());
+            term.fill(&self.chain, motion, &mut y, 0);
+            let own = y * DVector::from_column_slice(beta);
+            tau.as_mut_slice().iter_mut().zip(own.as_slice()).for_each(|(tau, own)| *tau += own);
+        }
+        for k in 0..samples {
+            let own = closed.torque(&motion.sample(k));
+            (0..n).for_each(|j| tau[(k, j)] += own[j]);
+        }
+        tau
     }
 
     /// Stacked regressor of random smooth motions, in mountings that excite every parameter of this kind of set.

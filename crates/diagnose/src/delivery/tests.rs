@@ -6,7 +6,7 @@ use super::*;
 use crate::span::Span;
 use crate::synthetic::{At, NOISE, Recorded, once, recorded, structure, truth};
 use crate::{FoldTest, Relevance, Search};
-use plumbline_identify::solve::{Options, identify};
+use plumbline_identify::solve::{Equations, Options, identify};
 use plumbline_model::term::effect::{Family, Site, family};
 use plumbline_testkit::scene::Scene;
 use std::f64::consts::{FRAC_1_SQRT_2, TAU};
@@ -57,7 +57,8 @@ impl<'r> Case<'r> {
             options: &self.options,
             came: &[],
         };
-        let mut before = identify(&structure, &self.identify.experiments).unwrap();
+        let equations = Equations::of(structure.clone(), &self.identify.experiments).unwrap();
+        let mut before = equations.identify(&Options::default()).unwrap();
         before.beta = truth(&structure).as_slice().to_vec();
         let families: Vec<&Family> =
             effects.iter().map(|(spec, ..)| spec).chain(&self.seeds).map(|spec| family(spec.family).unwrap()).collect();
@@ -88,7 +89,7 @@ impl<'r> Case<'r> {
                 input: &input,
                 unseen: &unseen,
                 unseen_without: input.deciding(),
-                experiments: &self.identify.experiments,
+                equations: &equations,
                 acting: &acting,
                 before: &before,
                 seeds: &seeds,
@@ -105,7 +106,7 @@ fn model_with(delivery: &Delivery, effects: &[(Spec, f64)]) -> Fitted {
     let operating_point = plain.operating_point(&delivery.before.beta);
     let specs: Vec<Spec> = effects.iter().map(|(spec, _)| spec.clone()).collect();
     let structure = plain.clone().with(effect::assemble(&specs, &operating_point).unwrap()).unwrap();
-    let mut identification = identify(&structure, delivery.experiments).unwrap();
+    let mut identification = identify(&structure, delivery.equations.experiments()).unwrap();
     identification.beta[..delivery.before.beta.len()].copy_from_slice(&delivery.before.beta);
     for (spec, value) in effects {
         let name = &spec.build(&operating_point).unwrap().columns()[0].name;

@@ -54,7 +54,7 @@ impl Learning<'_> {
     /// Learned terms for the joints that were screened, on top of the delivered model `named`.
     ///
     /// # Errors
-    /// As [`plumbline_identify::solve::identify_with`].
+    /// As [`plumbline_identify::solve::Equations::identify`].
     pub fn of(&self, named: &Fitted, screened: &[Residual]) -> Result<Learned, EstimateError> {
         let mut learned = Learned { model: named.clone(), terms: Vec::new(), curves: Vec::new(), maps: Vec::new() };
         let wanted = |one: &&Residual| one.best_servable() >= MIN_DEPENDENT_R2;
@@ -149,7 +149,7 @@ impl Learning<'_> {
         let term = variables.spec(joint).build(&structure.operating_point(&identification.beta)).ok();
         let Some(structure) = term.and_then(|term| structure.clone().with(vec![term]).ok()) else { return Ok(None) };
         let Spline { coefficients, covariance, freedom, .. } = spline;
-        let experiments = self.delivery.experiments;
+        let experiments = self.delivery.equations.experiments();
         let identification =
             identification.extended(&structure, experiments, coefficients.as_slice(), covariance, *freedom)?;
         Ok(Some(Fitted { structure, identification }))

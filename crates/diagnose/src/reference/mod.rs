@@ -17,7 +17,7 @@ pub use held::Stored;
 pub use outcome::Comparison;
 
 use super::evidence::{BAND_EDGES_HZ, Evidence, LOW_BANDS, Trial};
-use super::fit::{Prior, Problem, every, inverse};
+use super::fit::{Prior, Problem, inverse};
 use super::found::{Found, Step, Watch};
 use super::input::Settings;
 use super::library::{self, Candidate};
@@ -295,8 +295,8 @@ fn least(search: &Search, state: &State) -> Vec<(&'static str, Vec<f64>)> {
         return found;
     }
     for item in search.library {
-        let cross = state.columns.cross(evidence, &item.rows);
-        let share = search.problem.gain(&state.fit, &cross, &every, None).map_or(0.0, |gain| gain.independence);
+        let cross = state.cross(evidence, &item.rows);
+        let share = search.problem.gain(&state.fit, &cross, None).map_or(0.0, |gain| gain.independence);
         let index = found.iter().position(|(id, _)| *id == item.spec.family).unwrap_or_else(|| {
             found.push((item.spec.family, vec![f64::INFINITY; evidence.joints()]));
             found.len() - 1

@@ -11,6 +11,7 @@
 //! Standard deviations are valid for coloured noise ([`super::covariance`]).
 
 pub mod coloured;
+mod equations;
 pub mod gains;
 pub mod huber;
 pub mod iv;
@@ -23,9 +24,10 @@ pub mod tls;
 pub mod wls;
 
 use super::EstimateError;
-use super::essential::{self, Dropped};
+use super::essential::Dropped;
 use super::experiment::Experiment;
 use super::validate::{Rms, validate_parameters};
+pub use equations::Equations;
 use linear::{Weights, deviations, residual_covariance};
 use nalgebra::DMatrix;
 use plumbline_core::{parallel, threads};
@@ -196,27 +198,6 @@ pub fn identify(structure: &Structure, experiments: &[Experiment]) -> Result<Ide
     identify_with(structure, experiments, &Options::default())
 }
 
-/// Identifies the parameters of a structure by weighted least squares with given standard deviations of the joints' errors, n \[Nm\].
-///
-/// A model extended in one joint keeps the weights of the plain model this way. New weights would bias parameters shared by several joints
-/// towards the joint with the smaller residual.
-///
-/// # Errors
-/// As [`identify_with`].
-pub fn identify_weighted(
-    structure: &Structure,
-    experiments: &[Experiment],
-    sigma: &[f64],
-) -> Result<Identification, EstimateError> {
-    let stack = Stack::of(structure, experiments)?;
-    let every: Vec<usize> = (0..structure.columns().len()).collect();
-    let fit = linear::least_squares(&stack, &Weights::per_joint(sigma))?;
-    let spread = noise::of_torques(&stack, experiments, &fit);
-    let (sigma, outcome) = (sigma.to_vec(), Outcome::Settled);
-    let solved = Solved { fit, spread, sigma, row_weights: None, rounds: 1, outcome };
-    finish(structure, experiments, Estimator::Wls, &stack, solved, &every, Vec::new())
-}
-
 /// Identifies the parameters of a structure with a given estimator.
 ///
 /// # Errors
@@ -227,16 +208,7 @@ pub fn identify_with(
     experiments: &[Experiment],
     options: &Options,
 ) -> Result<Identification, EstimateError> {
-    let stack = Stack::of(structure, experiments)?;
-    let every: Vec<usize> = (0..structure.columns().len()).collect();
-    let solver = Solver::new(structure, experiments, options.estimator)?;
-    let whole = solver.solve(&stack, &every)?;
-    let (solved, kept, dropped) = if options.essential {
-        essential::reduce(structure.columns(), whole, |kept| solver.solve(&stack.columns(kept), kept))?
-    } else {
-        (whole, every, Vec::new())
-    };
-    finish(structure, experiments, options.estimator, &stack, solved, &kept, dropped)
+    Equations::of(structure.clone(), experiments)?.identify(options)
 }
 
 /// One estimator with the noise data of its experiments.

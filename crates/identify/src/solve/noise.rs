@@ -9,7 +9,6 @@ use crate::covariance::{Spread, between_periods, newey_west};
 use crate::experiment::{Experiment, Repeats};
 use crate::periods::NoiseOfMean;
 use crate::signal::spectral::Spectral;
-use crate::validate::torques;
 use nalgebra::{DMatrix, DVector};
 use plumbline_core::transposed_product;
 use plumbline_model::Structure;
@@ -183,10 +182,10 @@ fn part(stack: &Stack, b: &DMatrix<f64>, index: usize) -> DMatrix<f64> {
 /// deviations of the size of the mean's noise, as in the estimate, and scaled back.
 fn combined(structure: &Structure, experiment: &Experiment, repeats: &Repeats, beta: &[f64]) -> DMatrix<f64> {
     let samples = experiment.motion.samples();
-    let at_mean = torques(structure, beta, &experiment.motion);
+    let at_mean = structure.torques(beta, &experiment.motion);
     let mut both = repeats.tau.clone();
     for (p, (motion, scale)) in moved_by_period(experiment, repeats).enumerate() {
-        let change = (torques(structure, beta, &motion) - &at_mean) * scale;
+        let change = (structure.torques(beta, &motion) - &at_mean) * scale;
         let mut rows = both.rows_mut(p * samples, samples);
         rows -= change;
     }
@@ -285,7 +284,7 @@ pub fn instruments(structure: &Structure, experiments: &[Experiment]) -> Result<
         first.push(one);
         second.push(other);
     }
-    let along = |motions: &[Motion]| regressor(structure, experiments, &motions.iter().collect::<Vec<_>>());
+    let along = |motions: &[Motion]| regressor(structure, experiments, &motions.iter().collect::<Vec<_>>(), 0);
     let (one, other) = (along(&first)?, along(&second)?);
     let mut pairs = vec![Pair { regressor: one.clone(), instrument: other.clone() }];
     // The halves are symmetric: each is the other's instrument. A desired motion is an instrument only.

@@ -28,7 +28,7 @@ impl Stack {
     /// Experiments of another arm, fewer equations than parameters.
     pub fn of(structure: &Structure, experiments: &[Experiment]) -> Result<Stack, EstimateError> {
         let motions: Vec<&Motion> = experiments.iter().map(|experiment| &experiment.motion).collect();
-        let w = regressor(structure, experiments, &motions)?;
+        let w = regressor(structure, experiments, &motions, 0)?;
         let joints = structure.chain().len();
         let m = w.nrows() / joints;
         let mut tau = DVector::zeros(w.nrows());
@@ -42,6 +42,24 @@ impl Stack {
             before += count;
         }
         Ok(Stack { w, tau, joints, spans: experiments.iter().map(|experiment| experiment.kept().len()).collect() })
+    }
+
+    /// The equations of a structure with more terms after the `before` ones of this: only their columns are computed.
+    ///
+    /// # Errors
+    /// As [`Stack::of`].
+    pub fn extended(
+        &self,
+        structure: &Structure,
+        experiments: &[Experiment],
+        before: usize,
+    ) -> Result<Stack, EstimateError> {
+        let motions: Vec<&Motion> = experiments.iter().map(|experiment| &experiment.motion).collect();
+        let added = regressor(structure, experiments, &motions, before)?;
+        let own = self.w.ncols();
+        let mut w = self.w.clone().resize_horizontally(own + added.ncols(), 0.0);
+        w.columns_mut(own, added.ncols()).copy_from(&added);
+        Ok(Stack { w, tau: self.tau.clone(), joints: self.joints, spans: self.spans.clone() })
     }
 
     /// Rows of one joint, m.
@@ -69,7 +87,7 @@ impl Stack {
     }
 }
 
-/// Stacked regressor along given motions, one per experiment, filtered and decimated as the experiments.
+/// Stacked columns of a structure's terms from `first` on along given motions, one per experiment, filtered and decimated as the experiments.
 ///
 /// # Errors
 /// Experiments of another arm, fewer equations than parameters.
@@ -77,6 +95,7 @@ pub fn regressor(
     structure: &Structure,
     experiments: &[Experiment],
     motions: &[&Motion],
+    first: usize,
 ) -> Result<DMatrix<f64>, EstimateError> {
     let (n, columns) = (structure.chain().len(), structure.columns().len());
     if let Some(other) = experiments.iter().find(|experiment| experiment.joints() != n) {
@@ -87,10 +106,11 @@ pub fn regressor(
     if n * m < columns {
         return Err(EstimateError::TooFewRows { rows: n * m, columns });
     }
-    let mut w = DMatrix::zeros(n * m, columns);
-    let mut before = 0;
     let each: Vec<_> = experiments.iter().zip(motions).collect();
-    let banded = parallel(&each, threads(), |(experiment, motion)| experiment.band(&structure.regressor(motion)));
+    let of = |(experiment, motion): &(&Experiment, &&Motion)| experiment.band(&structure.regressor_from(first, motion));
+    let banded = parallel(&each, threads(), of);
+    let mut w = DMatrix::zeros(n * m, banded.first().map_or(0, DMatrix::ncols));
+    let mut before = 0;
     for (experiment, y) in experiments.iter().zip(banded) {
         let count = experiment.kept().len();
         for j in 0..n {

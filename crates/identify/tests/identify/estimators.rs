@@ -1,7 +1,8 @@
 //! The estimators against each other and against simulated truth, each on its intended data.
 
-use plumbline_identify::solve::{Estimator, Identification, Options, Outcome, identify_with};
+use plumbline_identify::solve::{Equations, Estimator, Identification, Options, Outcome, identify_with};
 use plumbline_identify::{EstimateError, Experiment, Run, Settings};
+use plumbline_model::term::effect::{self, Site, Spec};
 use plumbline_testkit::scene;
 use plumbline_testkit::scene::{Coloured, Extra, Scene};
 use std::sync::LazyLock;
@@ -84,6 +85,21 @@ fn with_good_data_all_estimators_agree_with_correct_standard_deviations() {
         let most = if estimator == Estimator::Ols { 2.5 } else { 1.3 };
         assert!(error < most, "{}: {error} times the bound", estimator.id());
     }
+}
+
+#[test]
+fn equations_that_are_kept_identify_a_structure_with_more_terms() {
+    let experiments = [prepare(&SCENE.record(3, 1)), prepare(&SCENE.record(3, 2))];
+    let spec = Spec { family: "spring", form: "linear", site: Site::Joint(3), settings: vec![] };
+    let terms = effect::assemble(&[spec], &SCENE.structure.operating_point(&SCENE.beta)).unwrap();
+    let more = SCENE.structure.clone().with(terms).unwrap();
+    let kept = Equations::of(SCENE.structure.clone(), &experiments).unwrap();
+    let options = Options::default();
+    let found = kept.extended(more.clone()).unwrap().identify(&options).unwrap();
+    let expected = identify_with(&more, &experiments, &options).unwrap();
+    assert_eq!((&found.beta, &found.std), (&expected.beta, &expected.std));
+    assert!(found.beta.len() > SCENE.beta.len());
+    assert_eq!(kept.identify(&options).unwrap().beta, with(Estimator::Wls, &experiments).beta);
 }
 
 #[test]

@@ -4,7 +4,7 @@
 use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 use plumbline_excite::Fourier;
 use plumbline_identify::solve::{Identification, identify};
-use plumbline_identify::{Experiment, Run, Settings, torques, validate_parameters};
+use plumbline_identify::{Experiment, Run, Settings, validate_parameters};
 use plumbline_model::{BaseKind, Chain, LinkParameters, Mounting, Reduction, Robot, Structure, rnea};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -254,8 +254,7 @@ fn a_filter_on_the_torque_alone_biases_the_estimate() {
     let solve = |w: DMatrix<f64>, tau: &DMatrix<f64>| w.svd(true, true).solve(tau, 1e-12).unwrap();
     let error = |found: &DMatrix<f64>| {
         let found: Vec<f64> = found.iter().copied().collect();
-        let difference =
-            torques(&structure, &found, &experiment.motion) - torques(&structure, &beta, &experiment.motion);
+        let difference = structure.torques(&found, &experiment.motion) - structure.torques(&beta, &experiment.motion);
         difference.norm() / (difference.len() as f64).sqrt()
     };
     let tau = experiment.filter(&experiment.stacked_tau());

@@ -40,6 +40,10 @@ fn the_served_torque_is_the_regressor_times_the_parameters() {
                     may_be || own.column_iter().all(|column| column.amax() > 0.0),
                     "an empty column: {spec:?}, {robot}"
                 );
+                let whole = full.structure().regressor(&motion) * DVector::from_vec(full.beta());
+                let whole = DMatrix::from_column_slice(motion.samples(), n, whole.as_slice());
+                let difference = (full.structure().torques(&full.beta(), &motion) - &whole).amax();
+                assert!(difference < 1e-9 * whole.amax(), "{spec:?} of {robot}: {difference:e} of {:e}", whole.amax());
                 let served = full.predict(&motion) - model.predict(&motion);
                 if !family.is_served() {
                     assert_eq!(served.amax(), 0.0, "{spec:?}");

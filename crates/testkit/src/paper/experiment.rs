@@ -6,7 +6,7 @@ use nalgebra::{DMatrix, Vector3};
 use plumbline::store::{ModelFile, load_plan};
 use plumbline_excite::Fourier;
 use plumbline_identify::solve::{Identification, identify};
-use plumbline_identify::{Experiment, Run, Settings, torques, validate_parameters};
+use plumbline_identify::{Experiment, Run, Settings, validate_parameters};
 use plumbline_model::{BaseKind, Chain, LinkParameters, Mounting, Reduction, Robot, Structure, rnea};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -173,7 +173,7 @@ pub fn two_dof() -> TwoDof {
     let figure = |name: &'static str, mounting: Mounting, seed: u64| {
         let trajectory = random_plan(&robot, 0.9, seed);
         let experiment = prepare(&arm.drive(&trajectory, 1, mounting, &[], 0), &Settings::default());
-        let of = |structure: &Structure, found: &Identification| torques(structure, &found.beta, &experiment.motion);
+        let of = |structure: &Structure, found: &Identification| structure.torques(&found.beta, &experiment.motion);
         let tau = [experiment.tau.clone(), of(&horizontal, &h), of(&vertical, &v)];
         let rms = [&tau[1], &tau[2]].map(|model| {
             let error = model - &tau[0];
@@ -259,7 +259,7 @@ pub fn panda(settings: &Settings) -> Panda {
                 if trajectory == SHOWN {
                     let along = experiment.comparison_motion.as_ref().unwrap_or(&experiment.motion);
                     let t = (0..along.samples()).map(|k| k as f64 * DT).collect();
-                    let estimated = torques(&structure, &found.beta, along);
+                    let estimated = structure.torques(&found.beta, along);
                     let measured = experiment.tau.clone();
                     shown.push(Validation { mounting: name, t, measured, estimated, rms: rms.clone() });
                 }

@@ -1,6 +1,7 @@
 //! How a model is identified once more with its effects.
 
 use super::*;
+use plumbline_identify::Experiment;
 
 #[test]
 fn columns_are_evaluated_once_more_where_a_parameter_moved_by_more_than_a_tenth_of_its_deviation() {
@@ -12,7 +13,10 @@ fn columns_are_evaluated_once_more_where_a_parameter_moved_by_more_than_a_tenth_
             let plain = delivery.input.structure;
             let terms = effect::assemble(std::slice::from_ref(&friction), &plain.operating_point(beta)).unwrap();
             let structure = plain.clone().with(terms).unwrap();
-            identify_with(&structure, delivery.experiments, delivery.input.options).unwrap()
+            Equations::of(structure.clone(), delivery.equations.experiments())
+                .unwrap()
+                .identify(delivery.input.options)
+                .unwrap()
         };
         let mut settled = once(selected.state.fit.theta.as_slice());
         for _ in 0..10 {

@@ -155,7 +155,7 @@ fn drag_and_offset(share: f64, look: impl FnOnce(&Search, &State, [&Scored; 2]))
 #[test]
 fn without_repeats_a_better_effect_has_to_be_better_by_twelve() {
     let mut seen = Vec::new();
-    for share in [0.3, 0.4, 0.5, 0.6, 0.7] {
+    for share in [0.3, 0.4, 0.5, 0.6, 0.61, 0.62, 0.7] {
         drag_and_offset(share, |search, base, [drag, offset]| {
             let gap = offset.score - drag.score;
             let selected = search.select(base.clone(), std::slice::from_ref(&drag.item), &|_| {});

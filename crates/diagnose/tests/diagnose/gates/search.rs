@@ -266,7 +266,7 @@ fn without_repeats_an_effect_has_to_show_in_three_blocks() {
 #[test]
 fn without_repeats_an_effect_has_to_take_a_fifth_of_a_joints_error_away() {
     let mut seen = Vec::new();
-    for size in [0.017, 0.019, 0.021, 0.023, 0.026] {
+    for size in [0.018, 0.019, 0.021, 0.023, 0.026] {
         once(20.0, 11, constant(size)).search(&OFFSET, &Settings::default(), |search, base| {
             let scored = offset_2(search, base);
             let folds = plumbline_diagnose::folds(&search.problem, base, &scored.tried);
