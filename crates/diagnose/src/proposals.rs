@@ -109,14 +109,20 @@ impl Search<'_> {
         let mut order: Vec<usize> = (0..self.library.len()).filter(|&k| screened[k].is_finite()).collect();
         order.sort_by(|&a, &b| screened[b].total_cmp(&screened[a]));
         let short = shortlisted(order.into_iter().map(|k| &self.library[k]));
-        let (done, of) = (AtomicUsize::new(0), short.len());
-        let tried = parallel(&short, threads, |starts| {
-            let scored = starts.iter().filter_map(|item| self.score(state, &self.refined(state, self.rebuilt(item))));
-            let best = scored.max_by(|a, b| a.score.total_cmp(&b.score));
+        // Those of several settings take far longer than the others: the threads share the starts, not the effects.
+        let starts: Vec<&Candidate> = short.iter().flatten().copied().collect();
+        let (done, of) = (AtomicUsize::new(0), starts.len());
+        let tried = parallel(&starts, threads, |item| {
+            let scored = self.score(state, &self.refined(state, self.rebuilt(item)));
             progress(Progress::Candidates { done: done.fetch_add(1, Ordering::Relaxed) + 1, of });
-            best
+            scored
         });
-        let mut scored: Vec<Scored> = tried.into_iter().flatten().collect();
+        let mut tried = tried.into_iter();
+        let best = |starts: &Vec<&Candidate>| {
+            let scored = tried.by_ref().take(starts.len()).flatten();
+            scored.max_by(|a, b| a.score.total_cmp(&b.score))
+        };
+        let mut scored: Vec<Scored> = short.iter().filter_map(best).collect();
         scored.sort_by(|a, b| b.score.total_cmp(&a.score));
         scored
     }

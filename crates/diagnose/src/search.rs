@@ -2,8 +2,12 @@
 
 /// Evaluations of [`golden`]
 const MAX_LINE_EVALUATIONS: usize = 12;
-/// and of [`simplex`].
+/// and most of [`simplex`].
 const MAX_SIMPLEX_EVALUATIONS: usize = 120;
+/// A simplex has settled where the values of its corners, scores of effects, differ by less than this
+const SETTLED_SCORE: f64 = 0.1;
+/// and none is farther from the best than this.
+const SETTLED_SHARE: f64 = 0.02;
 /// Sides of the first simplex, as a share of the distance to the next place that a search starts from: what several settings decide together may
 /// be a ridge, narrow against that.
 const SIMPLEX_SIDE_RATIO: f64 = 0.2;
@@ -57,6 +61,11 @@ fn simplex(start: &[f64], steps: &[f64], at: &dyn Fn(&[f64]) -> f64) -> Vec<f64>
     let mut evaluations = n + 1;
     while evaluations < MAX_SIMPLEX_EVALUATIONS {
         corners.sort_by(|a, b| b.0.total_cmp(&a.0));
+        let far =
+            |(_, x): &(f64, Vec<f64>)| x.iter().zip(&corners[0].1).any(|(x, best)| (x - best).abs() > SETTLED_SHARE);
+        if corners[0].0 - corners[n].0 < SETTLED_SCORE && !corners.iter().any(far) {
+            break;
+        }
         let (worst, others) = (corners[n].clone(), &corners[..n]);
         let middle: Vec<f64> = (0..n).map(|k| others.iter().map(|(_, x)| x[k]).sum::<f64>() / n as f64).collect();
         // From the worst corner through the middle of the others: 1 is its mirror image.
@@ -108,15 +117,30 @@ mod tests {
             let (across, along) = (x[0] - 0.6 - (x[1] - 0.5), x[0] - 0.6 + (x[1] - 0.5));
             -100.0 * across * across - along * along - (x[2] - 0.8).powi(2)
         };
-        let found = largest(&[0.4, 0.33, 0.0], &[0.5, 0.33, 1.0], &ridge);
+        let score = |x: &[f64]| 1000.0 * ridge(x);
+        let found = largest(&[0.4, 0.33, 0.0], &[0.5, 0.33, 1.0], &score);
         assert!(ridge(&found) > -1e-3, "{found:?}");
+    }
+
+    #[test]
+    fn a_search_ends_where_it_has_settled() {
+        let count = std::cell::Cell::new(0);
+        let hill = |x: &[f64]| {
+            count.set(count.get() + 1);
+            -500.0 * x.iter().map(|x| (x - 0.5).powi(2)).sum::<f64>()
+        };
+        let found = largest(&[0.45, 0.4], &[0.5, 0.5], &hill);
+        assert!(
+            hill(&found) > -2.0 * SETTLED_SCORE && count.get() < MAX_SIMPLEX_EVALUATIONS / 2,
+            "{found:?}, {count:?}"
+        );
     }
 
     #[test]
     fn nothing_outside_is_looked_at() {
         let inside = |x: &[f64]| {
             assert!(x.iter().all(|x| (0.0..=1.0).contains(x)), "{x:?}");
-            x[0] + x[1]
+            1000.0 * (x[0] + x[1])
         };
         let found = largest(&[1.0, 0.9], &[0.5, 0.5], &inside);
         assert!(found[0] + found[1] > 1.95, "{found:?}");

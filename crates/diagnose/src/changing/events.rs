@@ -44,7 +44,8 @@ impl Events {
         for (_, strong, event) in events {
             let of_event = || transient::from_others(record, left, &event, &taken, MARGIN_S);
             let majority = record.has_majority(event.first..event.last);
-            let touched = majority.then(|| contact::contact(operating_point, record, &of_event(), &noise, &event));
+            let touched = majority
+                .then(|| contact::contact(operating_point, record, &of_event(), &noise, &event, contact::MIN_GAP));
             match touched.flatten() {
                 Some(contact) => {
                     taken = either(&taken, &transient::mask(record, [&event], MARGIN_S));

@@ -82,10 +82,7 @@ fn contacts(
     let (mut touched, mut others) = (Vec::new(), 0.0_f64);
     let by_model = |event: &Event| !record.has_majority(event.first..event.last);
     for event in contact::candidates(&record, x, &[]).into_iter().filter(by_model) {
-        let contact = || {
-            let contact = contact::contact(operating_point, &record, &record.tau, &noise, &event);
-            contact.filter(|contact| contact.gap >= MIN_GAP)
-        };
+        let contact = || contact::contact(operating_point, &record, &record.tau, &noise, &event, MIN_GAP);
         match (!comes_again(&event)).then(contact).flatten() {
             Some(contact) => touched.push((energy(&event), event, contact)),
             None => others = others.max(energy(&event)),

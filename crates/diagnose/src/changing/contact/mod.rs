@@ -23,8 +23,8 @@ use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 use plumbline_model::term::effect::OperatingPoint;
 use plumbline_model::{Chain, JointKind, Placement};
 
-/// Smallest difference of a contact's score to that of what is no contact. Noise alone reaches 3.
-const MIN_GAP: f64 = 12.0;
+/// Smallest difference of a contact's score to that of what is no contact, by what other periods are. Noise alone reaches 3.
+pub(super) const MIN_GAP: f64 = 12.0;
 /// Time between the knots of a contact's course \[s\].
 const KNOT_SPACING_S: f64 = 0.1;
 /// Largest number of knots.
@@ -161,13 +161,15 @@ pub(super) fn visible(record: &Record, x: &DMatrix<f64>) -> DMatrix<f64> {
     DMatrix::from_fn(x.nrows(), x.ncols(), shown)
 }
 
-/// The contact that explains an event; `None` when none does. `x` are deviations from what the torques would be without it.
+/// The contact that explains an event by this difference of its score to that of what is no contact at `least`; `None` when none does. `x` are deviations
+/// from what the torques would be without it.
 pub(super) fn contact(
     operating_point: &OperatingPoint,
     record: &Record,
     x: &DMatrix<f64>,
     noise: &Noise,
     event: &Event,
+    least: f64,
 ) -> Option<Contact> {
     let chain = &operating_point.chain;
     let data = Data::of(chain, record, x, noise, event);
@@ -179,17 +181,18 @@ pub(super) fn contact(
     // What explains as much with fewer numbers: the arm gives way a little and so has torques of its own, which a full wrench would take up. Of links the
     // innermost: what touches one further out shows in its joints, too.
     let far = |one: &Fitted| one.explained < most - SAME_LINK_RATIO;
-    let least = |like: &Fitted| {
+    let smallest = |like: &Fitted| {
         let alike = tried.iter().filter(|one| one.act.rank() == like.act.rank() && !far(one));
         alike.map(|one| one.course.rss).fold(f64::INFINITY, f64::min)
     };
-    let place = |one: &Fitted| (far(one), one.act.rank(), one.course.rss > least(one) + MAX_RIVAL_SCORE_GAP, one.link);
+    let place =
+        |one: &Fitted| (far(one), one.act.rank(), one.course.rss > smallest(one) + MAX_RIVAL_SCORE_GAP, one.link);
     let places: Vec<_> = tried.iter().map(place).collect();
     let mut ordered: Vec<_> = places.into_iter().zip(tried).collect();
     ordered.sort_by_key(|(place, _)| *place);
     let reported = |(_, one)| {
         let gap = data.gap(&rivals, &one);
-        (gap >= MIN_GAP).then(|| data.report(record, event, &one, gap)).flatten()
+        (gap >= least).then(|| data.report(record, event, &one, gap)).flatten()
     };
     ordered.into_iter().find_map(reported)
 }
