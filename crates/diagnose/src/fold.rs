@@ -280,7 +280,7 @@ pub(super) fn folds_of(
 }
 
 /// Length of the next of so many blocks of so many samples: near their mean one that a Fourier transform takes apart, even and without a prime factor
-/// above 7. A prime one takes up to eight times as long. What the last block has too much is left out, no more than some samples.
+/// above 7; others take several times as long. What the last block has too much is left out.
 fn transformed(samples: usize, blocks: usize) -> usize {
     let is_fast = |length: &usize| {
         let rest = [2, 3, 5, 7].into_iter().fold(*length, |mut rest, factor| {

@@ -2,8 +2,7 @@
 
 use super::stack::Stack;
 use super::{Estimator, Identification, Options, Outcome, Solved, Solver, Weights, finish, linear, noise};
-use crate::essential;
-use crate::{EstimateError, Experiment};
+use crate::{EstimateError, Experiment, essential};
 use plumbline_model::Structure;
 
 /// A structure with its equations along one or more experiments of one arm, each in its own mounting.
