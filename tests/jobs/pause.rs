@@ -21,9 +21,6 @@ fn in_mid_motion(place: &Place) -> Status {
 fn a_paused_job_ends_as_one_that_was_not() {
     let place = Place::new("pause");
     let run = Running::start(place.job("run", &short(&[LONG])));
-    wait_for("the daemon", || place.status());
-    let refused = place.command("pause").expect_code(1);
-    assert!(refused.err.contains("nothing is being driven"), "{}", refused.output());
     in_mid_motion(&place);
     place.command("pause").expect_code(0);
     let rests = |now: &Status| now.progress == Progress::Paused && now.phase == Phase::Stopped;
@@ -51,6 +48,8 @@ fn a_paused_job_ends_as_one_that_was_not() {
 fn a_pause_outlasts_the_wait_for_a_model_and_a_stop_ends_it() {
     let place = Place::new("pause-model");
     let daemon = place.daemon(&short(&[]));
+    let refused = place.command("pause").expect_code(1);
+    assert!(refused.err.contains("nothing is being driven"), "{}", refused.output());
     place.command("start").expect_code(0);
     at(&place, Progress::AwaitingModel);
     for _ in 0..2 {
