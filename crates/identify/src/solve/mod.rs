@@ -92,7 +92,7 @@ impl Estimator {
 pub struct Options {
     /// The estimator.
     pub estimator: Estimator,
-    /// Whether insignificant parameters are eliminated, [`essential`].
+    /// Whether insignificant parameters are eliminated, [`crate::essential`].
     pub essential: bool,
 }
 
