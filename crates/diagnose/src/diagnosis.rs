@@ -114,15 +114,13 @@ pub fn diagnose(input: &Input, settings: &Settings, progress: &Watch) -> Result<
         (before, taken, adequacy)
     };
     let acting = Acting::of(structure.chain(), &selected.state, operating_point, input.identify);
-    let without: Vec<Experiment> = match acting.is_empty() {
-        true => Vec::new(),
-        false => acting.taken_off(input.identify).into_iter().map(Cow::into_owned).collect(),
+    let taken_off = || acting.taken_off(input.identify).into_iter().map(Cow::into_owned).collect::<Vec<_>>();
+    let without = (!acting.is_empty()).then(taken_off);
+    let equations = match &without {
+        None if !drifts => equations,
+        _ => Equations::of(structure.clone(), without.as_ref().unwrap_or(&experiments))?,
     };
-    let experiments = if acting.is_empty() { &experiments } else { &without };
-    let equations = match acting.is_empty() && !drifts {
-        true => equations,
-        false => Equations::of(structure.clone(), experiments)?,
-    };
+    let experiments = equations.experiments();
     let [veto, judge] = [input.veto, input.judge].map(|trials| acting.taken_off(trials));
     let identified = trials_of(experiments.iter(), input.identify);
     let [veto, judge] = [(&veto, input.veto), (&judge, input.judge)]

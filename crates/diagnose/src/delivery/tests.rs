@@ -6,7 +6,7 @@ use super::*;
 use crate::span::Span;
 use crate::synthetic::{At, NOISE, Recorded, once, recorded, structure, truth};
 use crate::{FoldTest, Relevance, Search};
-use plumbline_identify::solve::{Equations, Options, identify};
+use plumbline_identify::solve::{Options, identify};
 use plumbline_model::term::effect::{Family, Site, family};
 use plumbline_testkit::scene::Scene;
 use std::f64::consts::{FRAC_1_SQRT_2, TAU};

@@ -2,6 +2,7 @@
 
 use super::*;
 use plumbline_identify::Experiment;
+use plumbline_identify::solve::identify_with;
 
 #[test]
 fn columns_are_evaluated_once_more_where_a_parameter_moved_by_more_than_a_tenth_of_its_deviation() {
@@ -13,10 +14,7 @@ fn columns_are_evaluated_once_more_where_a_parameter_moved_by_more_than_a_tenth_
             let plain = delivery.input.structure;
             let terms = effect::assemble(std::slice::from_ref(&friction), &plain.operating_point(beta)).unwrap();
             let structure = plain.clone().with(terms).unwrap();
-            Equations::of(structure.clone(), delivery.equations.experiments())
-                .unwrap()
-                .identify(delivery.input.options)
-                .unwrap()
+            identify_with(&structure, delivery.equations.experiments(), delivery.input.options).unwrap()
         };
         let mut settled = once(selected.state.fit.theta.as_slice());
         for _ in 0..10 {
