@@ -76,6 +76,12 @@ impl Candidate {
         self.rows.width + self.spec.settings.len() + usize::from(!self.span.is_all())
     }
 
+    /// Whether the likelihood may have several maxima over its settings: more than one of them has several start values.
+    pub fn has_several_maxima(&self) -> bool {
+        let form = self.spec.family().ok().and_then(|family| family.form(self.spec.form));
+        form.is_some_and(|form| form.settings.iter().filter(|setting| setting.steps > 1).count() > 1)
+    }
+
     /// As it is reported: friction that changes by and by is a drift of friction.
     pub fn named(&self) -> Spec {
         match self.span.is_slow() {

@@ -17,7 +17,8 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// Candidates that are fitted in full at each step.
 const MAX_SHORTLISTED: usize = 16;
-/// Starts of a search for several settings: the likelihood has more than one maximum, and what it is largest at may be no plausible effect.
+/// Starts of a search for several settings where more than one of them has several start values: the likelihood has more than one maximum, and what it is
+/// largest at may be no plausible effect.
 const MAX_STARTS: usize = 3;
 /// Smallest gain at the start of a search for several settings, as a share of the penalty.
 const MIN_START_GAIN_RATIO: f64 = 0.5;
@@ -73,20 +74,23 @@ impl Search<'_> {
 
     /// The best candidates for a state, refined, best first.
     pub fn propose(&self, state: &State, wanted: impl Fn(&Candidate) -> bool + Sync) -> Vec<Scored> {
-        self.proposed(state, wanted, &|_| {})
+        self.proposed(state, wanted, &mut Vec::new(), &|_| {})
     }
 
-    /// [`Search::propose`] that tells how far it is.
+    /// [`Search::propose`] that tells how far it is. `refined` has what it found for other states: one that is still better than every start is the only
+    /// start for that effect. It is updated.
     pub(super) fn proposed(
         &self,
         state: &State,
         wanted: impl Fn(&Candidate) -> bool + Sync,
+        refined: &mut Vec<Candidate>,
         progress: &Watch,
     ) -> Vec<Scored> {
         let threads = self.settings.threads;
+        let (library, grid) = (self.library.iter().chain(&*refined).collect::<Vec<_>>(), self.library.len());
         let quietly = OnceLock::new();
         let quiet = || quietly.get_or_init(|| self.problem.quiet(&state.fit, &state.moments));
-        let screened = parallel(self.library, threads, |item| {
+        let screened = parallel(&library, threads, |item| {
             let usable = wanted(item) && !state.items.iter().any(|own| own.alike(item));
             if !usable {
                 return f64::NEG_INFINITY;
@@ -106,9 +110,9 @@ impl Search<'_> {
                 item.plausibility(gain.gamma.as_slice()) * evidence - penalty
             })
         });
-        let mut order: Vec<usize> = (0..self.library.len()).filter(|&k| screened[k].is_finite()).collect();
+        let mut order: Vec<usize> = (0..library.len()).filter(|&k| screened[k].is_finite()).collect();
         order.sort_by(|&a, &b| screened[b].total_cmp(&screened[a]));
-        let short = shortlisted(order.into_iter().map(|k| &self.library[k]));
+        let short = shortlisted(order.into_iter().map(|k| (library[k], k >= grid)));
         // Those of several settings take far longer than the others: the threads share the starts, not the effects.
         let starts: Vec<&Candidate> = short.iter().flatten().copied().collect();
         let (done, of) = (AtomicUsize::new(0), starts.len());
@@ -124,6 +128,10 @@ impl Search<'_> {
         };
         let mut scored: Vec<Scored> = short.iter().filter_map(best).collect();
         scored.sort_by(|a, b| b.score.total_cmp(&a.score));
+        for one in scored.iter().filter(|one| one.item.spec.settings.len() > 1) {
+            refined.retain(|other| !other.alike(&one.item));
+            refined.push(one.item.clone());
+        }
         scored
     }
 
@@ -222,18 +230,20 @@ pub(super) fn inside(setting: &Setting, share: f64) -> f64 {
     setting.at(share.clamp(0.0, 1.0)).clamp(setting.low, setting.high)
 }
 
-/// The first effects of a list, each with the first of its starts.
-fn shortlisted<'a>(candidates: impl Iterator<Item = &'a Candidate>) -> Vec<Vec<&'a Candidate>> {
-    let mut short: Vec<Vec<&Candidate>> = Vec::new();
-    for item in candidates {
-        let most = if item.spec.settings.len() > 1 { MAX_STARTS } else { 1 };
-        match short.iter().position(|starts| starts[0].alike(item)) {
-            Some(of) if short[of].len() < most => short[of].push(item),
-            None if short.len() < MAX_SHORTLISTED => short.push(vec![item]),
+/// The first effects of a list, each with the first of its starts. One that a search has found is followed by no other.
+fn shortlisted<'a>(candidates: impl Iterator<Item = (&'a Candidate, bool)>) -> Vec<Vec<&'a Candidate>> {
+    let mut short: Vec<(usize, Vec<&Candidate>)> = Vec::new();
+    for (item, found) in candidates {
+        match short.iter().position(|(_, starts)| starts[0].alike(item)) {
+            Some(of) if short[of].1.len() < short[of].0 => short[of].1.push(item),
+            None if short.len() < MAX_SHORTLISTED => {
+                let most = if !found && item.has_several_maxima() { MAX_STARTS } else { 1 };
+                short.push((most, vec![item]));
+            }
             _ => {}
         }
     }
-    short
+    short.into_iter().map(|(_, starts)| starts).collect()
 }
 
 #[cfg(test)]
@@ -247,20 +257,40 @@ mod tests {
     fn of_sixteen_effects_the_best_starts_are_searched_from() {
         let families = ["presliding", "stribeck", "backlash", "position-ripple"].map(|id| family(id).unwrap());
         recorded(2, 61, |_| [0.0; 2]).search(&families, &Settings::default(), |search, _| {
-            let short = shortlisted(search.library.iter());
+            let library = || search.library.iter().map(|item| (item, false));
+            let short = shortlisted(library());
             assert!(short.iter().all(|starts| starts.iter().all(|item| item.alike(starts[0]))));
             let mut seen = [false; 2];
             for starts in &short {
                 let all: Vec<&Candidate> = search.library.iter().filter(|item| item.alike(starts[0])).collect();
-                let several = starts[0].spec.settings.len() > 1;
+                let several = starts[0].has_several_maxima();
                 let expected = &all[..all.len().min(if several { 3 } else { 1 })];
                 assert!(starts.iter().zip(expected).all(|(one, other)| std::ptr::eq(*one, *other)));
                 assert_eq!(starts.len(), expected.len());
                 seen[usize::from(several)] |= all.len() > 3;
             }
             assert_eq!(seen, [true; 2], "effects with one setting and with several");
-            let again = search.library.iter().chain(search.library);
-            assert!(shortlisted(again).len() == short.len() && short.len() <= 16);
+            assert!(shortlisted(library().chain(library())).len() == short.len() && short.len() <= 16);
+            let found = shortlisted(search.library.iter().map(|item| (item, true)));
+            assert!(found.len() == short.len() && found.iter().all(|starts| starts.len() == 1));
+        });
+    }
+
+    #[test]
+    fn what_was_found_for_several_settings_is_where_the_next_search_begins() {
+        let elasticity = family("joint-elasticity").unwrap();
+        recorded(2, 61, |_| [0.0; 2]).search(&[elasticity], &Settings::default(), |search, base| {
+            let swings = |item: &Candidate| item.spec.settings.len() > 1;
+            let mut refined = Vec::new();
+            let mut propose = || search.proposed(base, swings, &mut refined, &|_| {});
+            let (first, second) = (propose(), propose());
+            assert!(!first.is_empty() && first.len() == second.len());
+            for one in &second {
+                let before = first.iter().find(|other| other.item.alike(&one.item)).unwrap();
+                assert!(one.score >= before.score - 1e-6, "{} then {}", before.score, one.score);
+            }
+            assert_eq!(refined.len(), second.len());
+            assert!(second.iter().all(|one| refined.iter().any(|item| item.spec == one.item.spec)));
         });
     }
 }

@@ -61,6 +61,7 @@ pub struct Draft {
     pub state: State,
     path: Vec<Step>,
     first: Vec<Scored>,
+    refined: Vec<Candidate>,
 }
 
 /// What the selection ended with.
@@ -100,7 +101,7 @@ impl<'a> Search<'a> {
         let mut state = base;
         let mut path: Vec<Step> = Vec::new();
         let mut tabu: Vec<Candidate> = Vec::new();
-        let mut first = Vec::new();
+        let (mut first, mut refined) = (Vec::new(), Vec::new());
         for seed in seeds {
             state = state.with(&self.problem, seed.clone());
         }
@@ -111,7 +112,8 @@ impl<'a> Search<'a> {
             self.record(&mut path, &state, item, true, 0.0, progress);
         }
         for step in 0..self.settings.steps {
-            let proposals = self.proposed(&state, |item| !tabu.iter().any(|one| one.alike(item)), progress);
+            let wanted = |item: &Candidate| !tabu.iter().any(|one| one.alike(item));
+            let proposals = self.proposed(&state, wanted, &mut refined, progress);
             if step == 0 {
                 first.clone_from(&proposals);
             }
@@ -126,13 +128,13 @@ impl<'a> Search<'a> {
                 tabu.push(gone);
             }
         }
-        Draft { state, path, first }
+        Draft { state, path, first, refined }
     }
 
     /// Compares every effect of a draft with its rivals.
     pub fn finish(&self, draft: Draft, progress: &Watch) -> Selected {
-        let Draft { state, mut path, first } = draft;
-        let (state, found) = self.judge(state, &mut path, progress);
+        let Draft { state, mut path, first, refined } = draft;
+        let (state, found) = self.judge(state, &mut path, refined, progress);
         Selected { state, found, path, first }
     }
 
@@ -261,7 +263,13 @@ impl<'a> Search<'a> {
     }
 
     /// Replaces each effect by every other candidate in turn: a better one is kept, those with a near score are its rivals.
-    fn judge(&self, mut state: State, path: &mut Vec<Step>, progress: &Watch) -> (State, Vec<Found>) {
+    fn judge(
+        &self,
+        mut state: State,
+        path: &mut Vec<Step>,
+        mut refined: Vec<Candidate>,
+        progress: &Watch,
+    ) -> (State, Vec<Found>) {
         let mut swaps = state.items.len();
         let mut found = Vec::new();
         let mut item = 0;
@@ -278,7 +286,7 @@ impl<'a> Search<'a> {
                 state = rest;
                 continue;
             };
-            let mut others = self.proposed(&rest, |other| !other.alike(&chosen), progress);
+            let mut others = self.proposed(&rest, |other| !other.alike(&chosen), &mut refined, progress);
             others.retain(|other| other.score > 0.0 && (other.item.meets(&chosen) || !beside(other)));
             let least = |other: &Scored| match self.evidence().repeats() {
                 true => own.score + if chosen.is_likelier(&other.item) { STRONG_GAP } else { 0.0 },

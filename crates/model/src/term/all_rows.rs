@@ -18,6 +18,8 @@ const CYCLE_S: f64 = 1e-3;
 /// Time of a sample.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Clock {
+    /// Its index in the motion that the law [follows](Law::follow).
+    pub index: Option<usize>,
     /// Since the start of the recording \[s\]; 0 in the loop, which serves no law of time.
     pub time: f64,
     /// Since the sample before \[s\].
@@ -39,6 +41,9 @@ pub(super) trait Law: Send + 'static {
     fn memory(&self, _dt: f64) -> usize {
         MEMORY_SAMPLES
     }
+
+    /// Announces the motion of the samples.
+    fn follow(&mut self, _motion: &Motion) {}
 
     /// Writes the columns at a sample: the torques of all joints in each of the term's columns. Entries are zero on entry.
     fn at(&mut self, sample: &Sample, clock: &Clock, columns: &mut [JointVec]);
@@ -119,12 +124,14 @@ impl<L: Law> AllRows<L> {
     fn write(&self, motion: &Motion, y: &mut DMatrix<f64>, first: usize, means: bool) {
         let (n, samples, width) = (motion.joints(), motion.samples(), self.columns.len());
         let mut law = (self.start)(&motion.gravity);
+        law.follow(motion);
         // A law that integrates begins with the state of the whole period before; its coarse form with the part that has not decayed.
         let memory = if L::INTEGRATES && !means { samples } else { law.memory(motion.dt) };
         let mut now = [JointVec::default(); MAX_COLUMNS];
         let mut at = |k: usize, columns: &mut [JointVec]| {
             columns.fill(JointVec::default());
-            let clock = Clock { time: motion.start + k as f64 * motion.dt, dt: motion.dt, means };
+            let time = motion.start + k as f64 * motion.dt;
+            let clock = Clock { index: Some(k), time, dt: motion.dt, means };
             law.at(&motion.sample(k), &clock, columns);
         };
         if motion.periodic {
@@ -156,7 +163,7 @@ impl<L: Law> FixedTerm for FixedRows<L> {
     fn torque(&mut self, sample: &Sample, tau: &mut JointVec) {
         let Some(columns) = self.columns.get_mut(..self.width) else { return };
         columns.fill(JointVec::default());
-        self.law.at(sample, &Clock { time: 0.0, dt: self.dt, means: false }, columns);
+        self.law.at(sample, &Clock { index: None, time: 0.0, dt: self.dt, means: false }, columns);
         for (column, beta) in columns.iter().zip(&self.beta) {
             tau.iter_mut().zip(column).for_each(|(tau, value)| *tau += beta * value);
         }

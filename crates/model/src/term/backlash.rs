@@ -5,7 +5,7 @@ use super::family::*;
 use super::one_row::{column, unit};
 use super::position_error::PositionError;
 use super::swing::{Gear, QUALITY, ROTOR, SWINGING, Swing, WITH_ROTOR};
-use super::{Column, Expected, Sample};
+use super::{Column, Expected, Motion, Sample};
 use plumbline_core::JointVec;
 
 /// The play of one joint's gear, which the link crosses when its load changes sign.
@@ -83,7 +83,7 @@ fn of_body(operating_point: &OperatingPoint, site: Site, settings: &[f64]) -> Ar
     let (joint, width) = (joint(site), settings[0]);
     let load = Arc::clone(&operating_point.load);
     AllRows::term(&FAMILY, "", site, settings, columns(operating_point, site), move |gravity| {
-        let error = PositionError { joint, load: load.under(gravity) };
+        let error = PositionError::new(joint, &load, gravity);
         Gap { error, width, past: Past::default() }
     })
 }
@@ -114,11 +114,15 @@ struct Gap {
 impl Law for Gap {
     const EXPECTS: Expected = Expected::NotNegative;
 
+    fn follow(&mut self, motion: &Motion) {
+        self.error.follow(motion);
+    }
+
     fn at(&mut self, sample: &Sample, clock: &Clock, columns: &mut [JointVec]) {
-        let e = -(self.error.own(sample) / self.width).tanh();
+        let e = -(self.error.own(sample, clock.index) / self.width).tanh();
         let [de, dde] = self.past.derivatives(e, clock.dt);
         if let Some(column) = columns.first_mut() {
-            *column = self.error.signature(sample, [e, de, dde]);
+            *column = self.error.signature(sample, clock.index, [e, de, dde]);
         }
     }
 }

@@ -4,7 +4,7 @@ use super::all_rows::*;
 use super::family::*;
 use super::one_row::{column, unit};
 use super::position_error::{MAX_POSITION_ERROR, PositionError};
-use super::{Expected, Sample};
+use super::{Expected, Motion, Sample};
 use plumbline_core::JointVec;
 
 /// An error of one joint's position, true minus measured, with the period of a turn.
@@ -36,7 +36,7 @@ fn build(operating_point: &OperatingPoint, site: Site, settings: &[f64]) -> Arc<
     let columns = ["_sin", "_cos"].map(|wave| column("eccentricity", site, wave, unit)).to_vec();
     let load = Arc::clone(&operating_point.load);
     AllRows::term(&FAMILY, "", site, settings, columns, move |gravity| {
-        Eccentricity(PositionError { joint, load: load.under(gravity) })
+        Eccentricity(PositionError::new(joint, &load, gravity))
     })
 }
 
@@ -45,7 +45,11 @@ struct Eccentricity(PositionError);
 impl Law for Eccentricity {
     const EXPECTS: Expected = Expected::AtMost(MAX_POSITION_ERROR);
 
-    fn at(&mut self, sample: &Sample, _clock: &Clock, columns: &mut [JointVec]) {
+    fn follow(&mut self, motion: &Motion) {
+        self.0.follow(motion);
+    }
+
+    fn at(&mut self, sample: &Sample, clock: &Clock, columns: &mut [JointVec]) {
         let joint = self.0.joint;
         let (Some(&q), Some(&dq), Some(&ddq)) = (sample.q.get(joint), sample.dq.get(joint), sample.ddq.get(joint))
         else {
@@ -54,7 +58,7 @@ impl Law for Eccentricity {
         let (sin, cos) = q.sin_cos();
         let waves = [[sin, cos * dq, cos * ddq - sin * dq * dq], [cos, -sin * dq, -sin * ddq - cos * dq * dq]];
         for (column, wave) in columns.iter_mut().zip(waves) {
-            *column = self.0.signature(sample, wave);
+            *column = self.0.signature(sample, clock.index, wave);
         }
     }
 }

@@ -4,7 +4,7 @@ use super::all_rows::*;
 use super::family::*;
 use super::one_row::{column, unit};
 use super::position_error::{MAX_POSITION_ERROR, PositionError};
-use super::{Expected, Sample};
+use super::{Expected, Motion, Sample};
 use plumbline_core::JointVec;
 
 /// A constant error of one joint's position: its true position minus the measured one.
@@ -37,9 +37,7 @@ fn build(operating_point: &OperatingPoint, site: Site, settings: &[f64]) -> Arc<
     let joint = joint(site);
     let columns = vec![column("zero", site, "", unit(operating_point, joint, "rad", "m"))];
     let load = Arc::clone(&operating_point.load);
-    AllRows::term(&FAMILY, "", site, settings, columns, move |gravity| {
-        Zero(PositionError { joint, load: load.under(gravity) })
-    })
+    AllRows::term(&FAMILY, "", site, settings, columns, move |gravity| Zero(PositionError::new(joint, &load, gravity)))
 }
 
 struct Zero(PositionError);
@@ -47,9 +45,13 @@ struct Zero(PositionError);
 impl Law for Zero {
     const EXPECTS: Expected = Expected::AtMost(MAX_POSITION_ERROR);
 
-    fn at(&mut self, sample: &Sample, _clock: &Clock, columns: &mut [JointVec]) {
+    fn follow(&mut self, motion: &Motion) {
+        self.0.follow(motion);
+    }
+
+    fn at(&mut self, sample: &Sample, clock: &Clock, columns: &mut [JointVec]) {
         if let Some(column) = columns.first_mut() {
-            *column = self.0.signature(sample, [1.0, 0.0, 0.0]);
+            *column = self.0.signature(sample, clock.index, [1.0, 0.0, 0.0]);
         }
     }
 }

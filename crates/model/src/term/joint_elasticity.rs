@@ -6,7 +6,7 @@ use super::family::*;
 use super::one_row::{column, unit};
 use super::position_error::PositionError;
 use super::swing::{Gear, QUALITY, ROTOR, SWINGING, Swing, WITH_ROTOR};
-use super::{Column, Expected, Sample};
+use super::{Column, Expected, Motion, Sample};
 use plumbline_core::JointVec;
 
 /// Identity.
@@ -112,7 +112,7 @@ fn build(
     let joint = joint(site);
     let load = Arc::clone(&operating_point.load);
     AllRows::term(&FAMILY, form, site, settings, columns(operating_point, site), move |gravity| {
-        let error = PositionError { joint, load: load.under(gravity) };
+        let error = PositionError::new(joint, &load, gravity);
         Twist { error, friction, past: Past::default() }
     })
 }
@@ -126,11 +126,15 @@ struct Twist {
 impl Law for Twist {
     const EXPECTS: Expected = Expected::NotNegative;
 
+    fn follow(&mut self, motion: &Motion) {
+        self.error.follow(motion);
+    }
+
     fn at(&mut self, sample: &Sample, clock: &Clock, columns: &mut [JointVec]) {
-        let e = -(self.error.own(sample) + self.friction.torque(sample, self.error.joint));
+        let e = -(self.error.own(sample, clock.index) + self.friction.torque(sample, self.error.joint));
         let [de, dde] = self.past.derivatives(e, clock.dt);
         if let Some(column) = columns.first_mut() {
-            *column = self.error.signature(sample, [e, de, dde]);
+            *column = self.error.signature(sample, clock.index, [e, de, dde]);
         }
     }
 }

@@ -1,5 +1,6 @@
 //! The rigid-body torque as a load of gears, bearings and sensors, which many effects depend on.
 
+use super::position_error::SlopesAlong;
 use super::{Motion, Sample};
 use crate::base::Reduction;
 use crate::chain::Chain;
@@ -9,15 +10,25 @@ use crate::rnea::{LinkParameters, rnea};
 use nalgebra::{DMatrix, Vector3};
 use plumbline_core::JointVec;
 use std::borrow::Cow;
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
 /// Rigid bodies with their parameters, `tau_rb = Y_b beta`.
 #[derive(Clone, Debug)]
 pub struct Load {
     chain: Chain,
     links: Vec<LinkParameters>,
-    /// Its torque along some motions.
-    known: Vec<(Motion, DMatrix<f64>)>,
+    /// What is known of it along some motions.
+    known: Vec<Known>,
+}
+
+/// A [`Load`] along a motion.
+#[derive(Clone, Debug)]
+struct Known {
+    motion: Motion,
+    /// Its torque, N x n \[Nm\].
+    tau: DMatrix<f64>,
+    /// Its slopes over the position of each joint, once they are asked for.
+    slopes: Vec<OnceLock<Arc<SlopesAlong>>>,
 }
 
 impl Load {
@@ -51,8 +62,8 @@ impl Load {
 
     /// Along a motion, N x n \[Nm\].
     pub fn along(&self, motion: &Motion) -> Cow<'_, DMatrix<f64>> {
-        if let Some((_, tau)) = self.known.iter().find(|(other, _)| other == motion) {
-            return Cow::Borrowed(tau);
+        if let Some(known) = self.known(motion) {
+            return Cow::Borrowed(&known.tau);
         }
         let mut load = self.under(&motion.gravity);
         let mut tau = DMatrix::zeros(motion.samples(), motion.joints());
@@ -63,6 +74,22 @@ impl Load {
             }
         }
         Cow::Owned(tau)
+    }
+
+    /// Slopes over the position of a joint along a motion, where it is a [known](OperatingPoint::known_along) one; `compute` is called once.
+    #[expect(clippy::disallowed_methods, reason = "along whole motions, before the loop")]
+    pub(super) fn slopes(
+        &self,
+        motion: &Motion,
+        joint: usize,
+        compute: impl FnOnce() -> SlopesAlong,
+    ) -> Option<Arc<SlopesAlong>> {
+        let slopes = self.known(motion)?.slopes.get(joint)?;
+        Some(Arc::clone(slopes.get_or_init(|| Arc::new(compute()))))
+    }
+
+    fn known(&self, motion: &Motion) -> Option<&Known> {
+        self.known.iter().find(|known| known.motion == *motion)
     }
 }
 
@@ -82,7 +109,12 @@ pub struct OperatingPoint {
 impl OperatingPoint {
     /// With the load along these motions computed once, for a search that evaluates many columns along them.
     pub fn known_along<'a>(self, motions: impl Iterator<Item = &'a Motion>) -> OperatingPoint {
-        let known = motions.map(|motion| (motion.clone(), self.load.along(motion).into_owned())).collect();
+        let known = |motion: &Motion| Known {
+            motion: motion.clone(),
+            tau: self.load.along(motion).into_owned(),
+            slopes: vec![OnceLock::new(); motion.joints()],
+        };
+        let known = motions.map(known).collect();
         OperatingPoint { load: Arc::new(Load { known, ..(*self.load).clone() }), ..self }
     }
 }

@@ -5,7 +5,7 @@ use super::carried::CarriedFriction;
 use super::family::{Family, Scale, Setting, Site, joint};
 use super::load::OperatingPoint;
 use super::position_error::PositionError;
-use super::{Column, Expected, Sample, Term};
+use super::{Column, Expected, Motion, Sample, Term};
 use plumbline_core::JointVec;
 use std::sync::Arc;
 
@@ -132,7 +132,7 @@ impl Swing {
             _ => [QUALITY.low, 0.0],
         };
         AllRows::term(family, form, site, settings, columns, move |gravity| {
-            let mut error = PositionError { joint, load: load.under(gravity) };
+            let mut error = PositionError::new(joint, &load, gravity);
             let rotor = rotor * error.inertia_at_zero();
             Swing {
                 error,
@@ -200,11 +200,15 @@ impl Law for Swing {
         (DECAY_S * self.quality / dt).ceil() as usize
     }
 
+    fn follow(&mut self, motion: &Motion) {
+        self.error.follow(motion);
+    }
+
     fn at(&mut self, sample: &Sample, clock: &Clock, columns: &mut [JointVec]) {
         let (joint, size) = (self.error.joint, self.gear.size());
         let (Some(&dq), Some(column)) = (sample.dq.get(joint), columns.first_mut()) else { return };
-        let own = self.error.own(sample);
-        let inertia = self.error.inertia(sample, own) - self.rotor;
+        let own = self.error.own(sample, clock.index);
+        let inertia = self.error.inertia(sample, clock.index, own) - self.rotor;
         let load = own - self.rotor * sample.ddq[joint];
         let [load_before, dq_before] = self.before.replace([load, dq]).unwrap_or([load, dq]);
         let steps = ((clock.dt / MAX_STEP_S).ceil() as u8).clamp(1, MAX_STEPS);
@@ -224,7 +228,7 @@ impl Law for Swing {
         if !clock.means {
             (mean, rubbed) = (theta, rub(dq, theta[1]));
         }
-        *column = self.error.signature(sample, mean.map(|value| -value / size));
+        *column = self.error.signature(sample, clock.index, mean.map(|value| -value / size));
         let Some(own) = column.get_mut(joint) else { return };
         // The rotor turns with the encoder.
         *own += self.rotor * mean[2] / size;

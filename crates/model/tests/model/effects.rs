@@ -13,6 +13,30 @@ use plumbline_testkit::arms::chain;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
+/// A search has the load and its slopes along its motions computed once; along any other motion they are computed sample by sample.
+#[test]
+fn along_a_known_motion_a_column_is_the_same() {
+    let mut rng = ChaCha8Rng::seed_from_u64(23);
+    for robot in ["panda", "paper-2dof", "scara"] {
+        let model = rigid_model(robot, &mut rng);
+        let n = model.structure().chain().len();
+        let motions = [true, false].map(|periodic| smooth_motion(&mut rng, n, periodic, 500));
+        let other = smooth_motion(&mut rng, n, true, 500);
+        let plain = operating_point(&model);
+        let known = plain.clone().known_along(motions.iter());
+        for spec in FAMILIES.iter().flat_map(|family| specs(family, n, &mut rng)) {
+            for motion in motions.iter().chain([&other]) {
+                // Twice: slopes are computed at the first time.
+                let [first, second] = [(); 2].map(|()| columns(&known, &spec, motion));
+                let expected = columns(&plain, &spec, motion);
+                let difference = (&first - &expected).amax();
+                assert!(difference < 1e-5 * expected.amax().max(1e-9), "{spec:?} of {robot}: {difference:e}");
+                assert!(first == second && (motion != &other || difference == 0.0), "{spec:?} of {robot}");
+            }
+        }
+    }
+}
+
 #[test]
 fn the_served_torque_is_the_regressor_times_the_parameters() {
     let mut rng = ChaCha8Rng::seed_from_u64(21);
