@@ -99,7 +99,8 @@ def covers(report, truth, found):
                 true = eval(text, allowed, truth["parameters"])
             except (NameError, SyntaxError, TypeError):
                 continue
-            base.append([p["name"], round((p["value"] - true) / p["std"], 2)])
+            low, high = p["interval_95"]
+            base.append([p["name"], round((p["value"] - true) / p["std"], 2), low <= true <= high])
     return effects, base
 
 
@@ -296,6 +297,9 @@ def table(args):
         if z:
             print(f"cover of {name}: {share(sum(x <= 3 for x in z), len(z))} within 3 standard deviations, "
                   f"{share(sum(x <= 1.96 for x in z), len(z))} within 1.96")
+    held = [c[2] for r in good for c in r["base_cover"]]
+    if held:
+        print(f"intervals of 95 % that hold the true base parameter: {share(sum(held), len(held))}")
     for key, beyond in (("harm", ""), ("sure_harm", ", and by more than the interval of 95 % allows")):
         worse = [r for r in good if r.get(key, 1.0) > HARM]
         print(f"a joint worse than plain by more than {100 * (HARM - 1):.0f} % on held-out data{beyond}: {share(len(worse), len(good))}")

@@ -11,6 +11,9 @@ use plumbline_core::JointVec;
 use realfft::num_complex::Complex;
 use std::f64::consts::PI;
 
+/// Largest correlation of a score with the one before that it is whitened by.
+const MAX_CORRELATION: f64 = 0.97;
+
 /// Covariance of the parameters with the degrees of freedom of each variance.
 #[derive(Clone, Debug)]
 pub struct Spread {
@@ -93,7 +96,8 @@ pub fn between_periods(b: &DMatrix<f64>, at: &[usize], noise: &NoiseOfMean) -> S
     Spread { freedom: freedom.collect(), covariance: symmetric(&covariance) }
 }
 
-/// `sum_l w_l sum_k s_k s_{k+l}'` of the scores `s_k = B_k r_k` (Newey and West 1987, Bartlett's weights `w_l = 1 - |l| / (L + 1)`).
+/// `sum_l w_l sum_k s_k s_{k+l}'` of the scores `s_k = B_k r_k` (Newey and West 1987, Bartlett's weights `w_l = 1 - |l| / (L + 1)`), each
+/// [whitened](prewhitened) before.
 ///
 /// `b` is p x n m, `residual` n m, both joint by joint with m samples in time. The number of lags `L` comes from the scores themselves
 /// (Newey and West 1994). The residual must be corrected for the degrees of freedom of the fit.
@@ -106,6 +110,7 @@ pub fn newey_west(b: &DMatrix<f64>, residual: &[f64], samples: usize) -> Spread 
             scores.column_mut(k).axpy(residual[j * samples + k], &b.column(j * samples + k), 1.0);
         }
     }
+    let (scores, gains) = prewhitened(&scores);
     let lags = bandwidth(&scores);
     let mut covariance = DMatrix::zeros(p, p);
     for lag in 0..=lags {
@@ -114,9 +119,28 @@ pub fn newey_west(b: &DMatrix<f64>, residual: &[f64], samples: usize) -> Spread 
         let product = scores.columns(0, count) * scores.columns(lag, count).transpose();
         covariance += if lag == 0 { product * weight } else { (&product + product.transpose()) * weight };
     }
+    covariance.component_mul_assign(&(&gains * gains.transpose()));
     // A variance from Bartlett's window over m samples has about 1.5 m / L degrees of freedom (Priestley 1981, table 6.2).
     let freedom = 1.5 * samples as f64 / (lags as f64).max(1.0);
     Spread { freedom: vec![freedom; p], covariance: symmetric(&covariance) }
+}
+
+/// Every score less what the one before predicts, `e_k = s_k - a s_(k-1)`, and the gain `1 / (1 - a)` of the slow part of `s` over that of `e`
+/// (Andrews and Monahan, Econometrica 60, 1992). Bartlett's window takes from slow noise what lies beyond its lags; what is whitened has less there.
+fn prewhitened(scores: &DMatrix<f64>) -> (DMatrix<f64>, DVector<f64>) {
+    let (mut whitened, mut gains) = (scores.clone(), DVector::zeros(scores.nrows()));
+    for (i, row) in scores.row_iter().enumerate() {
+        let row: Vec<f64> = row.iter().copied().collect();
+        let product: f64 = row.windows(2).map(|pair| pair[0] * pair[1]).sum();
+        let square: f64 = row.iter().map(|x| x * x).sum();
+        let a = (product / square.max(f64::MIN_POSITIVE)).clamp(-MAX_CORRELATION, MAX_CORRELATION);
+        for k in 1..row.len() {
+            whitened[(i, k)] = row[k] - a * row[k - 1];
+        }
+        whitened[(i, 0)] = row[0] * (1.0 - a * a).sqrt();
+        gains[i] = 1.0 / (1.0 - a);
+    }
+    (whitened, gains)
 }
 
 /// Lags for Bartlett's window: `1.1447 (s1^2 / s0^2)^(1/3) m^(1/3)`, `s0` and `s1` the sums of the autocovariance and of lag times it over
@@ -233,6 +257,27 @@ mod tests {
             let ratio = found[(c, c)] / (0.04 * inverse[(c, c)]);
             assert!((0.75..1.3).contains(&ratio), "{ratio}");
         }
+    }
+
+    #[test]
+    fn slow_noise_is_not_taken_for_less() {
+        let mut rng = ChaCha8Rng::seed_from_u64(7);
+        let (m, pole, draws) = (600, 0.9, 100);
+        // The mean of noise of first order: its variance is `1 / (m (1 - pole)^2)`.
+        let b = DMatrix::from_element(1, m, 1.0 / m as f64);
+        let expected = 1.0 / (m as f64 * (1.0 - pole) * (1.0 - pole));
+        let mut x: f64 = 0.0;
+        let mut found = || {
+            let noise = std::iter::repeat_with(|| {
+                x = pole * x + rng.sample::<f64, _>(StandardNormal);
+                x
+            });
+            let residual: Vec<f64> = noise.take(m).collect();
+            newey_west(&b, &residual, m).covariance[(0, 0)] / expected
+        };
+        let mean = (0..draws).map(|_| found()).sum::<f64>() / f64::from(draws);
+        // By the window alone 0.57.
+        assert!((0.9..1.15).contains(&mean), "{mean}");
     }
 
     #[test]
