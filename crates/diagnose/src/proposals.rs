@@ -250,8 +250,8 @@ fn shortlisted<'a>(candidates: impl Iterator<Item = (&'a Candidate, bool)>) -> V
 mod tests {
     use super::*;
     use crate::Settings;
-    use crate::synthetic::recorded;
-    use plumbline_model::term::effect::family;
+    use crate::synthetic::{recorded, with_effect};
+    use plumbline_model::term::effect::{Site, family};
 
     #[test]
     fn of_sixteen_effects_the_best_starts_are_searched_from() {
@@ -279,7 +279,8 @@ mod tests {
     #[test]
     fn what_was_found_for_several_settings_is_where_the_next_search_begins() {
         let elasticity = family("joint-elasticity").unwrap();
-        recorded(2, 61, |_| [0.0; 2]).search(&[elasticity], &Settings::default(), |search, base| {
+        let spec = Spec { family: elasticity.id, form: "swinging", site: Site::Joint(1), settings: vec![2e-3, 5.0] };
+        with_effect(2, 61, &spec, 0.5, |_| [0.0; 2]).search(&[elasticity], &Settings::default(), |search, base| {
             let swings = |item: &Candidate| item.spec.settings.len() > 1;
             let mut refined = Vec::new();
             let mut propose = || search.proposed(base, swings, &mut refined, &|_| {});
