@@ -76,16 +76,18 @@ impl Load {
         Cow::Owned(tau)
     }
 
-    /// Slopes over the position of a joint along a motion, where it is a [known](OperatingPoint::known_along) one; `compute` is called once.
+    /// Slopes over the position of a joint along a motion, where it is a [known](OperatingPoint::known_along) one; `compute` is called once, with the joint's
+    /// own torque at every sample.
     #[expect(clippy::disallowed_methods, reason = "along whole motions, before the loop")]
     pub(super) fn slopes(
         &self,
         motion: &Motion,
         joint: usize,
-        compute: impl FnOnce() -> SlopesAlong,
+        compute: impl FnOnce(&[f64]) -> SlopesAlong,
     ) -> Option<Arc<SlopesAlong>> {
-        let slopes = self.known(motion)?.slopes.get(joint)?;
-        Some(Arc::clone(slopes.get_or_init(|| Arc::new(compute()))))
+        let Known { tau, slopes, .. } = self.known(motion)?;
+        let own = || &tau.as_slice()[joint * tau.nrows()..][..tau.nrows()];
+        Some(Arc::clone(slopes.get(joint)?.get_or_init(|| Arc::new(compute(own())))))
     }
 
     fn known(&self, motion: &Motion) -> Option<&Known> {

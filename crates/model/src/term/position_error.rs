@@ -37,14 +37,11 @@ impl PositionError {
     /// For the samples of one motion, in any order.
     pub fn follow(&mut self, motion: &Motion) {
         let rigid_bodies = Arc::clone(&self.rigid_bodies);
-        self.along = None;
-        self.along = rigid_bodies.slopes(motion, self.joint, || {
+        self.along = rigid_bodies.slopes(motion, self.joint, |own| {
             let units = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
-            let mut at = |sample: Sample| {
-                let slopes = units.map(|unit| self.signature(&sample, None, unit).map(|slope| slope as f32));
-                (self.own(&sample, None), slopes)
-            };
-            SlopesAlong((0..motion.samples()).map(|k| at(motion.sample(k))).collect())
+            let mut slopes =
+                |sample: &Sample| units.map(|unit| self.signature(sample, None, unit).map(|slope| slope as f32));
+            SlopesAlong(own.iter().enumerate().map(|(k, own)| (*own, slopes(&motion.sample(k)))).collect())
         });
     }
 
