@@ -1,7 +1,7 @@
 //! Arms and random states for the tests of the model.
 
-use nalgebra::{DVector, Vector3};
-use plumbline_model::{Chain, Joint, JointKind, LinkParameters, Mounting, Placement, Robot, rnea};
+use nalgebra::{DVector, Matrix3, Rotation3, Vector3};
+use plumbline_model::{Body, Chain, Joint, JointKind, LinkParameters, Mounting, Placement, Robot, rnea};
 use rand::Rng;
 use rand::seq::IndexedRandom;
 use rand_chacha::ChaCha8Rng;
@@ -36,6 +36,20 @@ pub fn random_chain(rng: &mut ChaCha8Rng) -> Chain {
     };
     let joints = (0..n).map(|index| joint(index, rng)).collect();
     Chain::modified(joints, Placement::identity())
+}
+
+/// A rigid body that may be.
+pub fn random_body(rng: &mut ChaCha8Rng) -> LinkParameters {
+    let second = Vector3::from_fn(|_, _| rng.random_range(0.002..0.05));
+    let axes = Rotation3::from_euler_angles(
+        rng.random_range(-3.0..3.0),
+        rng.random_range(-1.5..1.5),
+        rng.random_range(-3.0..3.0),
+    );
+    let mass = rng.random_range(0.3..6.0);
+    let sigma = axes.matrix() * Matrix3::from_diagonal(&second) * axes.matrix().transpose() * mass;
+    let inertia = sigma.trace() * Matrix3::identity() - sigma;
+    Body { mass, com: Vector3::from_fn(|_, _| rng.random_range(-0.2..0.2)), inertia }.link_parameters()
 }
 
 /// `n` numbers within `span` of zero.

@@ -1,11 +1,12 @@
 //! Models to export, and random states with the torques that they give.
 
-use nalgebra::{DVector, Matrix3, Rotation3, Vector3};
+use crate::arms::random_body;
+use nalgebra::DVector;
 use plumbline_core::{MAX_JOINTS, Torque};
 use plumbline_identify::consistency::{Nearest, Prior, Uncertainty, nearest};
 use plumbline_model::term::Sample;
 use plumbline_model::term::effect::Spec;
-use plumbline_model::{Body, LinkParameters, Mounting, Reduction, Robot, Structure, TorqueModel};
+use plumbline_model::{Mounting, Reduction, Robot, Structure, TorqueModel};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde::Serialize;
@@ -20,19 +21,6 @@ pub fn robot(name: &str) -> Robot {
     let golden = root.join(format!("crates/model/tests/golden/robots/{name}.toml"));
     let at = if golden.is_file() { golden.display().to_string() } else { name.to_string() };
     Robot::load(&at, Some(root)).unwrap_or_else(|error| panic!("{error}"))
-}
-
-pub fn random_body(rng: &mut ChaCha8Rng) -> LinkParameters {
-    let second = Vector3::from_fn(|_, _| rng.random_range(0.002..0.05));
-    let axes = Rotation3::from_euler_angles(
-        rng.random_range(-3.0..3.0),
-        rng.random_range(-1.5..1.5),
-        rng.random_range(-3.0..3.0),
-    );
-    let mass = rng.random_range(0.3..6.0);
-    let sigma = axes.matrix() * Matrix3::from_diagonal(&second) * axes.matrix().transpose() * mass;
-    let inertia = sigma.trace() * Matrix3::identity() - sigma;
-    Body { mass, com: Vector3::from_fn(|_, _| rng.random_range(-0.2..0.2)), inertia }.link_parameters()
 }
 
 /// A physically consistent random model: bodies, friction and the other terms.

@@ -1,58 +1,150 @@
 //! Delay of torques against positions.
 
-use super::Sample;
 use super::all_rows::*;
 use super::carried::CarriedFriction;
 use super::family::*;
 use super::load::LoadUnder;
 use super::one_row::column;
+use super::{Column, Expected, Sample};
+use nalgebra::Vector3;
 use plumbline_core::JointVec;
+
+/// Longest delay of the shifted form \[s\].
+const LONGEST_S: f64 = 0.05;
+/// Samples that the shifted form remembers: as long at 1.2 kHz.
+const MEMORY: usize = 64;
 
 /// One delay of all torques against all positions.
 ///
-/// First order in the delay. Friction is delayed, too: at a reversal its slope is a pulse as wide as the reversal. The slope is a backward
-/// difference of the torques.
+/// To first order it is the slope of the torques, a backward difference. Friction is delayed, too: at a reversal its slope is a pulse as wide as the
+/// reversal. The shifted form is exact also where the delay is longer than that: it interpolates between samples, and `delay` is `shift`.
 pub static FAMILY: Family = Family {
     id: "delay",
     physics: "The torque is measured, filtered or sent later than the position of the same sample.",
     place: Place::Arm,
-    forms: &[Form {
-        name: "",
-        equation: "tau = -delay d (tau_rb + tau_friction) / dt, in all rows",
-        settings: &[],
-        build,
-        in_c: REFUSED_MEMORY,
-        plot_over: PlotOver::Nothing,
-    }],
+    forms: &[
+        Form {
+            name: "",
+            equation: "tau = -delay d (tau_rb + tau_friction) / dt, in all rows",
+            settings: &[],
+            build: build_slope,
+            in_c: REFUSED_MEMORY,
+            plot_over: PlotOver::Nothing,
+        },
+        Form {
+            name: "shifted",
+            equation: "tau = delay (tau_arm(t - shift) - tau_arm(t)) / shift, tau_arm = tau_rb + tau_friction, in all rows",
+            settings: &[Setting {
+                name: "shift",
+                unit: "s",
+                what: "the delay that the torques are computed with",
+                low: 1e-3,
+                high: LONGEST_S,
+                steps: 5,
+                scale: Scale::Logarithmic,
+            }],
+            build: build_shifted,
+            in_c: REFUSED_MEMORY,
+            plot_over: PlotOver::Nothing,
+        },
+    ],
     stratum: Stratum::Repeatable,
-    typical: "1 to 5 ms; negative where the positions are late",
+    typical: "1 to 20 ms; negative where the positions are late",
     confounded: &[confounded("presliding", HIGHER_HARMONICS), confounded("fv of every joint", HIGHER_HARMONICS)],
     reference: "Swevers et al., IEEE Trans. Robotics and Automation 13 (1997), on phases of filtered data",
     rare: Rare::NONE,
 };
 
-fn build(operating_point: &OperatingPoint, site: Site, settings: &[f64]) -> Arc<dyn Term> {
-    let load = Arc::clone(&operating_point.load);
-    let friction = CarriedFriction::of(operating_point);
-    AllRows::term(&FAMILY, "", site, settings, vec![column("delay", site, "", "s")], move |gravity| Late {
-        load: load.under(gravity),
-        friction,
-        past: PastOfJoints::default(),
-    })
+fn build_slope(operating_point: &OperatingPoint, site: Site, _settings: &[f64]) -> Arc<dyn Term> {
+    let arm = Arm::of(operating_point);
+    let start = move |gravity: &Vector3<f64>| Slope { arm: arm(gravity), past: PastOfJoints::default() };
+    AllRows::term(&FAMILY, "", site, &[], columns(site), start)
 }
 
-struct Late {
+fn build_shifted(operating_point: &OperatingPoint, site: Site, settings: &[f64]) -> Arc<dyn Term> {
+    let (arm, shift) = (Arm::of(operating_point), settings[0]);
+    let start = move |gravity: &Vector3<f64>| Shifted {
+        arm: arm(gravity),
+        shift,
+        past: [JointVec::default(); MEMORY],
+        seen: 0,
+    };
+    AllRows::term(&FAMILY, "shifted", site, settings, columns(site), start)
+}
+
+fn columns(site: Site) -> Vec<Column> {
+    vec![column("delay", site, "", "s")]
+}
+
+/// Rigid-body torque and friction of all joints.
+struct Arm {
     load: LoadUnder,
     friction: CarriedFriction,
+}
+
+impl Arm {
+    /// Of an operating point, under a gravity vector.
+    fn of(operating_point: &OperatingPoint) -> impl Fn(&Vector3<f64>) -> Arm + Send + Sync + 'static {
+        let (load, friction) = (Arc::clone(&operating_point.load), CarriedFriction::of(operating_point));
+        move |gravity| Arm { load: load.under(gravity), friction }
+    }
+
+    fn torques(&mut self, sample: &Sample) -> JointVec {
+        let mut torques = self.load.torque(sample);
+        torques.iter_mut().zip(self.friction.torques(sample)).for_each(|(torque, friction)| *torque += friction);
+        torques
+    }
+}
+
+struct Slope {
+    arm: Arm,
     past: PastOfJoints,
 }
 
-impl Law for Late {
+impl Law for Slope {
     fn at(&mut self, sample: &Sample, clock: &Clock, columns: &mut [JointVec]) {
         let Some(column) = columns.first_mut() else { return };
-        let torques = self.load.torque(sample).into_iter().zip(self.friction.torques(sample));
-        for ((value, past), (body, friction)) in column.iter_mut().zip(&mut self.past).zip(torques) {
-            *value = -past.derivatives(body + friction, clock.dt)[0];
+        for ((value, past), torque) in column.iter_mut().zip(&mut self.past).zip(self.arm.torques(sample)) {
+            *value = -past.derivatives(torque, clock.dt)[0];
+        }
+    }
+}
+
+struct Shifted {
+    arm: Arm,
+    shift: f64,
+    /// Torques of the last samples; the newest is at `seen - 1`, modulo the length.
+    past: [JointVec; MEMORY],
+    seen: usize,
+}
+
+impl Shifted {
+    /// Torques that many samples before the newest, or the oldest known.
+    fn before(&self, samples: usize) -> JointVec {
+        let back = samples.min(MEMORY - 1).min(self.seen.saturating_sub(1));
+        let at = (self.seen + 2 * MEMORY - 1 - back) % MEMORY;
+        self.past.get(at).copied().unwrap_or_default()
+    }
+}
+
+impl Law for Shifted {
+    const EXPECTS: Expected = Expected::FirstSetting;
+
+    fn memory(&self, dt: f64) -> usize {
+        ((self.shift / dt) as usize + 2).min(MEMORY)
+    }
+
+    fn at(&mut self, sample: &Sample, clock: &Clock, columns: &mut [JointVec]) {
+        let torques = self.arm.torques(sample);
+        let (Some(place), Some(column)) = (self.past.get_mut(self.seen % MEMORY), columns.first_mut()) else { return };
+        *place = torques;
+        // Once full it counts round in the second half.
+        self.seen = if self.seen + 1 < 2 * MEMORY { self.seen + 1 } else { MEMORY };
+        let samples = self.shift / clock.dt;
+        let (whole, part) = (samples as usize, samples.fract());
+        let both = self.before(whole).into_iter().zip(self.before(whole.saturating_add(1)));
+        for ((value, (late, later)), now) in column.iter_mut().zip(both).zip(torques) {
+            *value = (late + part * (later - late) - now) / self.shift;
         }
     }
 }

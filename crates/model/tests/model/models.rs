@@ -1,11 +1,11 @@
 //! Models with effects, and the motions that they are evaluated along.
 
 use assert_no_alloc::{assert_no_alloc, violation_count};
-use nalgebra::DMatrix;
+use nalgebra::{DMatrix, DVector};
 use plumbline_model::term::Motion;
 use plumbline_model::term::effect::{Family, Form, OperatingPoint, Site, Spec, assemble};
 use plumbline_model::{Mounting, NamedEffect, NamedTerm, Reduction, Structure, TorqueModel};
-use plumbline_testkit::arms::{any_mounting, chain, draw};
+use plumbline_testkit::arms::{any_mounting, chain, draw, random_body};
 use rand::Rng;
 use rand_chacha::ChaCha8Rng;
 
@@ -44,6 +44,17 @@ pub fn model_within(robot: &str, rng: &mut ChaCha8Rng, span: f64) -> TorqueModel
     TorqueModel::new(robot, structure, vec![Mounting::WALL], &values).unwrap()
 }
 
+/// Of rigid bodies that may be.
+pub fn physical_model(robot: &str, rng: &mut ChaCha8Rng) -> TorqueModel {
+    let model = rigid_model(robot, rng);
+    let structure = model.structure();
+    let delta: Vec<f64> = (0..structure.chain().len()).flat_map(|_| random_body(rng)).collect();
+    let bodies = structure.reduction().base_of(&DVector::from_vec(delta));
+    let friction = model.beta().split_off(bodies.len()).into_iter().map(f64::abs);
+    let values: Vec<_> = bodies.iter().copied().chain(friction).map(|value| (value, Some(0.1))).collect();
+    TorqueModel::new(robot, structure.clone(), vec![Mounting::WALL], &values).unwrap()
+}
+
 pub fn operating_point(model: &TorqueModel) -> OperatingPoint {
     model.structure().operating_point(&model.beta())
 }
@@ -64,10 +75,21 @@ pub fn specs(family: &'static Family, n: usize, rng: &mut ChaCha8Rng) -> Vec<Spe
             "empirical" => {
                 form.settings.iter().map(|one| if one.name.starts_with("middle") { 0.1 } else { 0.7 }).collect()
             }
-            _ => form.settings.iter().map(|setting| setting.at(rng.random_range(0.0..1.0))).collect(),
+            _ => form.settings.iter().map(|one| one.at(rng.random_range(shares(one.name)))).collect(),
         },
     };
     family.forms.iter().map(&mut spec).collect()
+}
+
+/// Values of a setting, as shares of its range. Hardly damped in a hard gap, or with less inertia than its rotor has, a link swings chaotically: rounding
+/// shows after a second.
+fn shares(setting: &str) -> std::ops::Range<f64> {
+    match setting {
+        "width" => 0.5..1.0,
+        "quality" => 0.0..0.2,
+        "rotor" => 0.0..0.3,
+        _ => 0.0..1.0,
+    }
 }
 
 /// An effect of the family's form.

@@ -258,6 +258,28 @@ fn a_delay_is_the_slope_of_the_torque() {
     }
 }
 
+/// In a motion of several shifts, whole and between samples: its torques are those of the same motion that began earlier.
+#[test]
+fn a_shifted_torque_is_that_of_an_earlier_time() {
+    let mut rng = ChaCha8Rng::seed_from_u64(9);
+    let model = rigid_model("panda", &mut rng);
+    let operating_point = operating_point(&model);
+    let motion = smooth_motion(&mut rng, 7, true, 4000);
+    let torque = load(&model, &motion);
+    for shift in [0.003, 0.0165, 0.05] {
+        let found = column_of(&operating_point, &effect("delay", "shifted", Site::Arm, &[shift]), &motion, 0);
+        let late = |k: usize| (4000.0 + k as f64 - shift / motion.dt) % 4000.0;
+        for j in 0..7 {
+            let friction = friction(&operating_point, &motion, j);
+            let whole = |k: usize| torque[(k % 4000, j)] + friction[k % 4000];
+            let between = |at: f64| whole(at as usize) + at.fract() * (whole(at as usize + 1) - whole(at as usize));
+            let expected = DVector::from_fn(4000, |k, _| between(late(k)) - whole(k)) / shift;
+            let (difference, scale) = ((found.column(j) - &expected).amax(), expected.amax());
+            assert!(difference < 1e-9 * scale, "{shift} s, joint {}: {difference:e} of {scale:e}", j + 1);
+        }
+    }
+}
+
 /// A tilt turns gravity about its axis; upright the axes are the base's x and y.
 #[test]
 fn a_tilt_turns_gravity() {
