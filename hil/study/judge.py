@@ -100,7 +100,7 @@ def covers(report, truth, found):
             except (NameError, SyntaxError, TypeError):
                 continue
             low, high = p["interval_95"]
-            base.append([p["name"], round((p["value"] - true) / p["std"], 2), low <= true <= high])
+            base.append([p["name"], round((p["value"] - true) / p["std"], 2), bool(low <= true <= high)])
     return effects, base
 
 
