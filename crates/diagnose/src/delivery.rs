@@ -28,6 +28,8 @@ pub(super) const MIN_EXPLAINED_RATIO: f64 = 0.5;
 const MAX_WORSENING_RATIO: f64 = 0.05;
 /// Standard deviations by which a parameter of an effect has to differ from zero.
 const MIN_DEVIATIONS: f64 = 2.0;
+/// The same where the noise is unknown, and the score of an effect that is one of hundreds is no exact measure.
+const MIN_DEVIATIONS_IN_UNKNOWN_NOISE: f64 = 3.0;
 /// Largest change of a parameter, in its standard deviations, at which the operating point has converged.
 const SETTLED_DEVIATIONS: f64 = 0.1;
 
@@ -130,11 +132,12 @@ impl Delivery<'_> {
         let score = |index: &usize| selected.found[*index].score;
         let mut candidates: Vec<usize> = (0..items.len()).filter(|&index| kept[index]).collect();
         candidates.sort_by(|a, b| score(a).total_cmp(&score(b)));
+        let least = if self.knows_noise() { MIN_DEVIATIONS } else { MIN_DEVIATIONS_IN_UNKNOWN_NOISE };
         for &index in &candidates {
             if let Some((name, value)) = negative(after, &items[index].spec) {
                 return Some((index, format!("{name} came out as {value:.3}, and it can't be below 0")));
             }
-            if is_zero(after, &items[index].spec) && !selected.state.has_in_most_joints(&items[index]) {
+            if is_zero(after, &items[index].spec, least) && !selected.state.has_in_most_joints(&items[index]) {
                 return Some((index, "in the whole model its parameters are zero within their errors".into()));
             }
         }
@@ -233,6 +236,11 @@ impl Delivery<'_> {
         }
     }
 
+    /// Whether the runs that the model is identified from tell their noise: they repeat.
+    fn knows_noise(&self) -> bool {
+        self.equations.experiments().iter().all(|experiment| experiment.scatter.is_some())
+    }
+
     /// Identified as a whole.
     fn extended(&self, state: &State, kept: &[bool]) -> Result<Fitted, EstimateError> {
         let Delivery { input, equations, before, .. } = *self;
@@ -249,8 +257,7 @@ impl Delivery<'_> {
         }
         let mut beta = state.fit.theta.as_slice().to_vec();
         let mut fitted = plain();
-        let known = experiments.iter().all(|experiment| experiment.scatter.is_some());
-        let own_weights = input.options.estimator == Estimator::Wls && !known;
+        let own_weights = input.options.estimator == Estimator::Wls && !self.knows_noise();
         let sigma = own_weights.then(|| self.weights(&beta)).transpose()?;
         // Once more at the operating point just found.
         for _ in 0..2 {
@@ -316,12 +323,12 @@ fn negative(fitted: &Fitted, spec: &Spec) -> Option<(String, f64)> {
     own(fitted, &columns).find(|(_, value, _)| *value < 0.0).map(|(column, value, _)| (column.name.clone(), value))
 }
 
-/// Whether every linear parameter of an effect is within [`MIN_DEVIATIONS`] of zero.
-fn is_zero(fitted: &Fitted, spec: &Spec) -> bool {
+/// Whether every linear parameter of an effect is within so many standard deviations of zero.
+fn is_zero(fitted: &Fitted, spec: &Spec, deviations: f64) -> bool {
     let Ok(term) = spec.build(&fitted.structure.operating_point(&fitted.identification.beta)) else { return false };
     let columns = term.columns();
     let mut values = own(fitted, &columns).peekable();
-    values.peek().is_some() && values.all(|(_, value, std)| std.is_some_and(|std| value.abs() < MIN_DEVIATIONS * std))
+    values.peek().is_some() && values.all(|(_, value, std)| std.is_some_and(|std| value.abs() < deviations * std))
 }
 
 #[cfg(test)]

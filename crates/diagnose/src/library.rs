@@ -10,6 +10,9 @@ use plumbline_model::term::{Expected, Term, friction_change, friction_drift};
 /// Joints whose transmissions may be coupled without a declaration: those of one wrist.
 const COUPLED_JOINTS_APART: usize = 2;
 
+/// Largest ratio of the speeds of two joints' friction of one make.
+const MAX_SPEED_RATIO: f64 = 4.0;
+
 /// An effect that may be missing from the model.
 #[derive(Clone, Debug)]
 pub struct Candidate {
@@ -109,6 +112,17 @@ impl Candidate {
     pub fn is_likelier(&self, other: &Candidate) -> bool {
         let fewer = self.spec.settings.len() < other.spec.settings.len();
         fewer && self.same_effect(other) || self.is_usual() && !other.is_usual()
+    }
+
+    /// Whether both are of one family and, where their laws have a speed, these are alike, as those of gears of one make are.
+    pub fn is_kindred(&self, other: &Candidate) -> bool {
+        let speed = |item: &Candidate| {
+            let form = item.spec.family().ok()?.form(item.spec.form)?;
+            let at = form.settings.iter().position(|setting| setting.unit == "rad/s")?;
+            item.spec.settings.get(at).copied()
+        };
+        let apart = |(own, other): (f64, f64)| own.max(other) > MAX_SPEED_RATIO * own.min(other);
+        self.spec.family == other.spec.family && !speed(self).zip(speed(other)).is_some_and(apart)
     }
 
     /// Whether both touch the torque of one joint.
@@ -219,6 +233,21 @@ mod tests {
     #[test]
     fn joints_of_one_wrist_may_be_coupled_undeclared_and_no_others() {
         assert!(are_near(5, 4) && are_near(3, 5) && !are_near(5, 1) && !are_near(0, 3));
+    }
+
+    #[test]
+    fn friction_of_another_speed_is_another() {
+        let of = |family, form, settings: &[f64]| {
+            let spec = Spec { family, form, site: Site::Joint(0), settings: settings.to_vec() };
+            Candidate { spec, span: Span::ALL, rows: Rows::new(1, Vec::new()), expected: Expected::Any }
+        };
+        let stribeck = |form, speed| of("stribeck", form, &[speed]);
+        let own = stribeck("gaussian", 0.1);
+        assert!(own.is_kindred(&stribeck("exponential", 0.39)) && own.is_kindred(&stribeck("gaussian", 0.026)));
+        assert!(!own.is_kindred(&stribeck("gaussian", 0.41)) && !own.is_kindred(&stribeck("exponential", 0.02)));
+        assert!(!own.is_kindred(&of("coulomb-slope", "tanh", &[0.1])));
+        assert!(of("presliding", "", &[1e-3]).is_kindred(&of("presliding", "", &[1e-4])), "a displacement is no speed");
+        assert!(of("nonlinear-viscous", "cubic", &[]).is_kindred(&of("nonlinear-viscous", "sigmoid", &[0.2])));
     }
 
     #[test]

@@ -40,23 +40,23 @@ impl State {
         first..first + self.items[item].rows.width
     }
 
-    /// Whether more than half of the joints have an effect of the same family, this one's own not counted: it is one of the arm then.
+    /// Whether more than half of the joints have [such an effect](Candidate::is_kindred), this one's own not counted: it is one of the arm then.
     pub fn has_in_most_joints(&self, item: &Candidate) -> bool {
         2 * self.others(item) > self.columns.m.len()
     }
 
-    /// Whether another joint has an effect of the same family.
+    /// Whether another joint has such an effect.
     pub fn has_in_another_joint(&self, item: &Candidate) -> bool {
         self.others(item) > 0
     }
 
-    /// Other joints that have an effect of the same family in the whole recording; none for one of several joints, or in a part of it.
+    /// Other joints that have such an effect in the whole recording; none for one of several joints, or in a part of it.
     fn others(&self, item: &Candidate) -> usize {
         if !matches!(item.spec.site, Site::Joint(_)) || !item.span.is_all() {
             return 0;
         }
         let mut others: Vec<Site> = Vec::new();
-        for own in self.items.iter().filter(|own| own.span.is_all() && own.spec.family == item.spec.family) {
+        for own in self.items.iter().filter(|own| own.span.is_all() && own.is_kindred(item)) {
             if own.spec.site != item.spec.site && !others.contains(&own.spec.site) {
                 others.push(own.spec.site);
             }
