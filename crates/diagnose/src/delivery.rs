@@ -28,8 +28,8 @@ pub(super) const MIN_EXPLAINED_RATIO: f64 = 0.5;
 const MAX_WORSENING_RATIO: f64 = 0.05;
 /// Standard deviations by which a parameter of an effect has to differ from zero.
 const MIN_DEVIATIONS: f64 = 2.0;
-/// The same where the noise is unknown, and the score of an effect that is one of hundreds is no exact measure.
-const MIN_DEVIATIONS_IN_UNKNOWN_NOISE: f64 = 3.0;
+/// The same of what the search started with in unknown noise, so that no gate has looked at it.
+const MIN_DEVIATIONS_OF_SEED: f64 = 3.0;
 /// Largest change of a parameter, in its standard deviations, at which the operating point has converged.
 const SETTLED_DEVIATIONS: f64 = 0.1;
 
@@ -132,11 +132,12 @@ impl Delivery<'_> {
         let score = |index: &usize| selected.found[*index].score;
         let mut candidates: Vec<usize> = (0..items.len()).filter(|&index| kept[index]).collect();
         candidates.sort_by(|a, b| score(a).total_cmp(&score(b)));
-        let least = if self.knows_noise() { MIN_DEVIATIONS } else { MIN_DEVIATIONS_IN_UNKNOWN_NOISE };
+        let seed = |item: &Candidate| self.seeds.iter().any(|seed| seed.alike(item));
         for &index in &candidates {
             if let Some((name, value)) = negative(after, &items[index].spec) {
                 return Some((index, format!("{name} came out as {value:.3}, and it can't be below 0")));
             }
+            let least = if seed(&items[index]) { MIN_DEVIATIONS_OF_SEED } else { MIN_DEVIATIONS };
             if is_zero(after, &items[index].spec, least) && !selected.state.has_in_most_joints(&items[index]) {
                 return Some((index, "in the whole model its parameters are zero within their errors".into()));
             }
@@ -236,11 +237,6 @@ impl Delivery<'_> {
         }
     }
 
-    /// Whether the runs that the model is identified from tell their noise: they repeat.
-    fn knows_noise(&self) -> bool {
-        self.equations.experiments().iter().all(|experiment| experiment.scatter.is_some())
-    }
-
     /// Identified as a whole.
     fn extended(&self, state: &State, kept: &[bool]) -> Result<Fitted, EstimateError> {
         let Delivery { input, equations, before, .. } = *self;
@@ -257,7 +253,8 @@ impl Delivery<'_> {
         }
         let mut beta = state.fit.theta.as_slice().to_vec();
         let mut fitted = plain();
-        let own_weights = input.options.estimator == Estimator::Wls && !self.knows_noise();
+        let known = experiments.iter().all(|experiment| experiment.scatter.is_some());
+        let own_weights = input.options.estimator == Estimator::Wls && !known;
         let sigma = own_weights.then(|| self.weights(&beta)).transpose()?;
         // Once more at the operating point just found.
         for _ in 0..2 {

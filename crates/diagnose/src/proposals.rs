@@ -288,7 +288,8 @@ mod tests {
             assert!(!first.is_empty() && first.len() == second.len());
             for one in &second {
                 let before = first.iter().find(|other| other.item.alike(&one.item)).unwrap();
-                assert!(one.score >= before.score - 1e-6, "{} then {}", before.score, one.score);
+                // A search compares gains at the weights of the state; a score has weights of its own.
+                assert!(one.score >= (1.0 - 1e-4) * before.score, "{} then {}", before.score, one.score);
             }
             assert_eq!(refined.len(), second.len());
             assert!(second.iter().all(|one| refined.iter().any(|item| item.spec == one.item.spec)));
