@@ -169,6 +169,10 @@ impl<'a> Search<'a> {
             return false;
         }
         let state = at.state;
+        let resolved = |compliance| gates::is_resolved(self.evidence(), self.operating_point, &one.item, compliance);
+        if !one.tried.fit.theta.iter().last().copied().is_none_or(resolved) {
+            return false;
+        }
         let relevance = gates::relevance(self.evidence(), state, &one.tried, &one.item);
         let of_most = state.has_in_most_joints(&one.item);
         let of_another = self.evidence().repeats() && state.has_in_another_joint(&one.item) && one.is_clear();

@@ -75,6 +75,8 @@ pub struct Rare {
     pub fits: fn(&str, Site) -> bool,
     /// The form, by its name, that a search tries only in joints [with a rotor](OperatingPoint::rotors) in the rigid body.
     pub with_rotor: Option<&'static str>,
+    /// Whether its parameter times the joint's rigid-body torque is a displacement.
+    pub is_compliance: bool,
     /// The effect that one of its forms can be a part of.
     pub part_of: Option<PartOf>,
     /// The parameter of a stored model that a column of this effect changes, by the column's name.
@@ -94,6 +96,7 @@ impl Rare {
         in_bodies: InBodies::Nothing,
         fits: |_, _| true,
         with_rotor: None,
+        is_compliance: false,
         part_of: None,
         changed_parameter: |name| name,
         quantities: quantity::own,
