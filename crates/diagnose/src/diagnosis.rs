@@ -104,7 +104,7 @@ pub fn diagnose(input: &Input, settings: &Settings, progress: &Watch) -> Result<
     let search = search.at(operating_point);
     let mut selected = search.finish(draft, progress);
 
-    end_where_refuted(&search, &mut selected.state, &unseen, input);
+    end_where_refuted(&search, &mut selected, &unseen, input);
     let selected = vetoed(&search, selected, input, &unseen);
     let (before_effects, taken, adequacy) = {
         let model = Unseen::of(&unseen, structure, input.deciding(), &selected.state, operating_point);

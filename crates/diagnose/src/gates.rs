@@ -320,8 +320,8 @@ pub fn matters(evidence: &Evidence, found: &Relevance, settings: &super::Setting
     enough(all.collect()) || enough(low.collect())
 }
 
-/// Whether a compliance displaces its joint by more than the encoder's step: less is a low-pass of the model's torque, which takes the encoder's rounding out of
-/// it whatever the gear does.
+/// Whether a compliance displaces its joint by [`MIN_COMPLIANCE_STEPS`] of the encoder. One that does not is a low-pass of the model's torque, which takes
+/// the encoder's rounding out of it whatever the gear does.
 pub fn is_resolved(evidence: &Evidence, operating_point: &OperatingPoint, item: &Candidate, compliance: f64) -> bool {
     let is_compliance = item.spec.family().is_ok_and(|family| family.rare.is_compliance);
     let Site::Joint(joint) = item.spec.site else { return true };

@@ -169,8 +169,8 @@ impl<'a> Search<'a> {
             return false;
         }
         let state = at.state;
-        let resolved = |compliance| gates::is_resolved(self.evidence(), self.operating_point, &one.item, compliance);
-        if !one.tried.fit.theta.iter().last().copied().is_none_or(resolved) {
+        let parameter = one.tried.fit.theta.as_slice().last().copied().unwrap_or_default();
+        if !gates::is_resolved(self.evidence(), self.operating_point, &one.item, parameter) {
             return false;
         }
         let relevance = gates::relevance(self.evidence(), state, &one.tried, &one.item);

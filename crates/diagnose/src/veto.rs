@@ -80,22 +80,19 @@ pub fn vetoed(search: &Search, mut selected: Selected, input: &Input, evidence: 
             item += 1;
             continue;
         }
-        let gone = state.items[item].clone();
-        let unmodelled =
-            (0..search.problem.evidence.joints()).map(|joint| rest.unmodelled(search.problem.evidence, joint));
-        let score = selected.found[item].score;
-        selected.path.push(Step { item: gone, added: false, score, unmodelled: unmodelled.sum() });
-        selected.found.remove(item);
-        selected.state = rest;
+        remove(search, &mut selected, item);
         item = 0;
     }
     selected
 }
 
-/// Ends with the identified runs what came within them and without which the unseen runs after it are predicted better: it has gone by then.
-pub fn end_where_refuted(search: &Search, state: &mut State, evidence: &Evidence, input: &Input) {
+/// Ends with the identified runs what came within them and without which the unseen runs after it are predicted better: it has gone by then. What does not pay
+/// for its end, one number more, is removed.
+pub fn end_where_refuted(search: &Search, selected: &mut Selected, evidence: &Evidence, input: &Input) {
     let end = Trial::end_of(input.identify);
-    for item in 0..state.items.len() {
+    let cost = (search.problem.evidence.per_joint() as f64).ln();
+    for item in (0..selected.state.items.len()).rev() {
+        let state = &selected.state;
         let span = state.items[item].span;
         if span.is_all() || span.to.is_finite() || !acting::any_in(Span::since(end), input.deciding()) {
             continue;
@@ -104,8 +101,81 @@ pub fn end_where_refuted(search: &Search, state: &mut State, evidence: &Evidence
         let mut without = state.fit.theta.clone();
         let range = state.range(item);
         without.rows_mut(range.start, range.len()).fill(0.0);
-        if unseen.gain(&state.fit.phi, &without, &state.fit.theta) < 0.0 {
-            state.items[item].span.to = end;
+        if unseen.gain(&state.fit.phi, &without, &state.fit.theta) >= 0.0 {
+            continue;
         }
+        if selected.found[item].score > cost {
+            selected.state.items[item].span.to = end;
+        } else {
+            remove(search, selected, item);
+        }
+    }
+}
+
+/// Removes an effect; the others are fitted again.
+fn remove(search: &Search, selected: &mut Selected, item: usize) {
+    let evidence = search.problem.evidence;
+    let rest = selected.state.without(&search.problem, item);
+    let unmodelled = (0..evidence.joints()).map(|joint| rest.unmodelled(evidence, joint)).sum();
+    let gone = selected.state.items[item].clone();
+    selected.path.push(Step { item: gone, added: false, score: selected.found[item].score, unmodelled });
+    selected.found.remove(item);
+    selected.state = rest;
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::found::Found;
+    use crate::gates::{FoldTest, Relevance};
+    use crate::synthetic::{At, recorded};
+    use crate::{Candidate, Settings};
+    use plumbline_identify::solve::Options;
+    use plumbline_model::term::effect::{Site, Spec};
+    use plumbline_model::term::torque_offset;
+
+    #[test]
+    fn what_has_gone_pays_for_its_end_or_is_none() {
+        let came = |at: &At| [0.0, if at.trajectory >= 2 { 1.0 } else { 0.0 }];
+        let (identify, there, gone) =
+            (recorded(4, 103, came), recorded(2, 104, |_| [0.0, 1.0]), recorded(2, 104, |_| [0.0; 2]));
+        let identified = identify.trials();
+        identify.search(&[&torque_offset::FAMILY], &Settings::default(), |search, base| {
+            let evidence = search.problem.evidence;
+            let spec = Spec { family: "torque-offset", form: "", site: Site::Joint(1), settings: vec![] };
+            let span = Span::since(identified[2].start);
+            let item = Candidate::of(evidence, search.operating_point, spec, span).unwrap();
+            let cost = (evidence.per_joint() as f64).ln();
+            for (unseen, score, ends) in [
+                (&there, 0.1, Some(f64::INFINITY)),
+                (&gone, 1.01 * cost, Some(Trial::end_of(&identified))),
+                (&gone, 0.99 * cost, None),
+            ] {
+                let mut veto = unseen.trials();
+                veto.iter_mut().for_each(|trial| trial.start += Trial::end_of(&identified));
+                let input = Input {
+                    structure: &identify.structure,
+                    identify: &identified,
+                    veto: &veto,
+                    judge: &[],
+                    options: &Options::default(),
+                    came: &[],
+                };
+                let (folds, relevance) = (FoldTest::default(), Relevance::default());
+                let found =
+                    Found { score, evidence: 0.0, penalty: 0.0, folds, relevance, independence: 1.0, rivals: vec![] };
+                let state = base.with(&search.problem, item.clone());
+                let mut selected = Selected { state, found: vec![found], path: vec![], first: vec![] };
+                let unseen =
+                    Evidence::with_noise_of(identify.structure.chain(), &veto, &identified, search.settings.band);
+                end_where_refuted(search, &mut selected, &unseen, &input);
+                assert_eq!(selected.state.items.first().map(|item| item.span.to), ends);
+                assert_eq!(
+                    (selected.found.len(), selected.path.len()),
+                    (selected.state.items.len(), 1 - selected.found.len())
+                );
+                assert!(selected.path.iter().all(|step| !step.added));
+            }
+        });
     }
 }

@@ -263,10 +263,13 @@ fn a_displacement_within_a_step_of_the_encoder_or_at_the_end_of_its_range_is_not
     });
 }
 
+/// Whether an effect of this family, in this joint, with this parameter, is resolved.
+type Resolved<'a> = dyn Fn(&str, usize, f64) -> bool + 'a;
+
 #[test]
 fn a_compliance_that_displaces_its_joint_by_less_than_two_steps_is_not_resolved() {
     let families: [&Family; 2] = [family("joint-elasticity").unwrap(), &spring::FAMILY];
-    let look = |recorded: &mut Recorded, of: &dyn Fn(&dyn Fn(&str, usize, f64) -> bool, f64)| {
+    let look = |recorded: &mut Recorded, of: &dyn Fn(&Resolved, f64)| {
         recorded.experiments.iter_mut().for_each(|experiment| experiment.resolution = vec![0.0, 1e-3]);
         recorded.search(&families, &Settings::default(), |search, _| {
             let evidence = search.problem.evidence;
