@@ -121,7 +121,7 @@ fn effect(search: &Search, state: &State, item: usize) -> Option<EffectFigure> {
     let range = state.range(item);
     let fitted = &*part * state.fit.theta.rows(range.start, range.len());
     let without = state.residual(joint) + &fitted;
-    let over = spec.family().ok()?.form(spec.form)?.plot_over;
+    let over = spec.form()?.plot_over;
     let mut variable = String::new();
     let mut values: Vec<Vec<f64>> = Vec::new();
     for experiment in 0..evidence.experiments() {

@@ -93,7 +93,7 @@ pub(super) fn slopes(
     let beta = DVector::from_column_slice(parameters);
     let width = item.spec.settings.len();
     let mut parts: Vec<(usize, DMatrix<f64>)> = Vec::new();
-    let Some(form) = item.spec.family().ok().and_then(|family| family.form(item.spec.form)) else {
+    let Some(form) = item.spec.form() else {
         return Rows::new(width, parts);
     };
     for (which, setting) in form.settings.iter().enumerate() {

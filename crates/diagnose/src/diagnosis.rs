@@ -395,7 +395,7 @@ fn effects_of(
 /// Nonlinear parameters of an effect.
 fn settings_of(state: &State, index: usize, deviations: &Deviations) -> Vec<Quantity> {
     let item = &state.items[index];
-    let Some(form) = item.spec.family().ok().and_then(|family| family.form(item.spec.form)) else { return Vec::new() };
+    let Some(form) = item.spec.form() else { return Vec::new() };
     let estimate = |(which, (setting, value)): (usize, (&effect::Setting, &f64))| {
         let std = deviations.of_setting(state, index, which);
         Quantity { std, ..Quantity::new(setting.name, *value, setting.unit) }

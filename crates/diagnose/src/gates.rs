@@ -337,7 +337,7 @@ pub fn is_resolved(evidence: &Evidence, operating_point: &OperatingPoint, item: 
 /// Whether the data show how large a displacement is: one within a step of the encoder can't be told from its rounding, which repeats in every period and
 /// is in no scatter, and at the upper end of what is searched the likelihood has no maximum.
 pub fn shows(evidence: &Evidence, item: &Candidate) -> bool {
-    let Some(form) = item.spec.family().ok().and_then(|family| family.form(item.spec.form)) else { return true };
+    let Some(form) = item.spec.form() else { return true };
     let joint = item.spec.site.joints().first().copied();
     let step = joint.filter(|_| evidence.repeats()).map_or(0.0, |joint| evidence.encoder_step(joint));
     let inside = |setting: &Setting, value: f64| value > step && setting.share(value) < MAX_SETTING_SHARE;

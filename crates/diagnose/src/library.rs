@@ -4,7 +4,7 @@ use super::evidence::Evidence;
 use super::rows::Rows;
 use super::span::Span;
 use plumbline_core::parallel;
-use plumbline_model::term::effect::{FAMILIES, Family, Form, OperatingPoint, Site, Spec, Stratum};
+use plumbline_model::term::effect::{FAMILIES, Family, Form, OperatingPoint, Setting, Site, Spec, Stratum};
 use plumbline_model::term::{Expected, Term, friction_change, friction_drift};
 
 /// Joints whose transmissions may be coupled without a declaration: those of one wrist.
@@ -81,7 +81,7 @@ impl Candidate {
 
     /// Whether the likelihood may have several maxima over its settings: more than one of them has several start values.
     pub fn has_several_maxima(&self) -> bool {
-        let form = self.spec.family().ok().and_then(|family| family.form(self.spec.form));
+        let form = self.spec.form();
         form.is_some_and(|form| form.settings.iter().filter(|setting| setting.steps > 1).count() > 1)
     }
 
@@ -117,8 +117,7 @@ impl Candidate {
     /// Whether both are of one family and, where their laws have a speed, these are alike, as those of gears of one make are.
     pub fn is_kindred(&self, other: &Candidate) -> bool {
         let speed = |item: &Candidate| {
-            let form = item.spec.family().ok()?.form(item.spec.form)?;
-            let at = form.settings.iter().position(|setting| setting.unit == "rad/s")?;
+            let at = item.spec.form()?.settings.iter().position(Setting::is_speed)?;
             item.spec.settings.get(at).copied()
         };
         let apart = |(own, other): (f64, f64)| own.max(other) > MAX_SPEED_RATIO * own.min(other);

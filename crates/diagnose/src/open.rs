@@ -372,7 +372,7 @@ impl OpenQuestions {
 /// Names of an effect's linear parameters and settings.
 fn names(structure: &Structure, beta: &[f64], spec: &Spec) -> Option<Vec<String>> {
     let linear = spec.build(&structure.operating_point(beta)).ok()?.columns();
-    let form = spec.family().ok()?.form(spec.form)?;
+    let form = spec.form()?;
     let settings = form.settings.iter().map(|setting| setting.name.to_string());
     Some(linear.into_iter().map(|column| column.name).chain(settings).collect())
 }

@@ -64,7 +64,7 @@ pub fn together(effects: Vec<Named>, friction: impl Fn(usize) -> Option<f64>) ->
 /// Whether an effect is what the law of another one leaves in their joint.
 fn is_rest_of(one: &Named, of: &Named) -> bool {
     let approximate = |own: &Named| {
-        let form = own.spec.family().ok().and_then(|family| family.form(own.spec.form));
+        let form = own.spec.form();
         form.is_some_and(Form::is_approximate) && own.effect.in_model
     };
     let small = one.effect.torque_rms.zip(of.effect.torque_rms).is_some_and(|(one, of)| one <= MAX_REST_RATIO * of);

@@ -148,7 +148,7 @@ impl Search<'_> {
 
     /// A candidate with its settings at the nearest maximum of the likelihood.
     pub fn refined(&self, state: &State, item: Candidate) -> Candidate {
-        let form = item.spec.family().ok().and_then(|family| family.form(item.spec.form));
+        let form = item.spec.form();
         let Some(form) = form.filter(|form| !form.settings.is_empty()) else { return item };
         let gain = |item: &Candidate| {
             let cross = state.cross(self.evidence(), &item.rows);

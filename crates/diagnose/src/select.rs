@@ -165,14 +165,12 @@ impl<'a> Search<'a> {
     /// Whether a candidate passes every gate. An effect of [most joints](State::has_in_most_joints) has to show alone, as has one that another joint has
     /// where its evidence is [twice its cost](Scored::is_clear). What the identified runs hardly show, the unseen ones may [prove](Deciding::prove).
     fn passes(&self, at: &At<'_, 'a>, one: &Scored) -> bool {
-        if one.score <= 0.0 || !gates::shows(self.evidence(), &one.item) {
+        let parameter = one.tried.fit.theta.as_slice().last().copied().unwrap_or_default();
+        let resolved = || gates::is_resolved(self.evidence(), self.operating_point, &one.item, parameter);
+        if one.score <= 0.0 || !gates::shows(self.evidence(), &one.item) || !resolved() {
             return false;
         }
         let state = at.state;
-        let parameter = one.tried.fit.theta.as_slice().last().copied().unwrap_or_default();
-        if !gates::is_resolved(self.evidence(), self.operating_point, &one.item, parameter) {
-            return false;
-        }
         let relevance = gates::relevance(self.evidence(), state, &one.tried, &one.item);
         let of_most = state.has_in_most_joints(&one.item);
         let of_another = self.evidence().repeats() && state.has_in_another_joint(&one.item) && one.is_clear();

@@ -80,7 +80,7 @@ pub fn vetoed(search: &Search, mut selected: Selected, input: &Input, evidence: 
             item += 1;
             continue;
         }
-        remove(search, &mut selected, item);
+        remove(search, &mut selected, item, rest);
         item = 0;
     }
     selected
@@ -107,15 +107,15 @@ pub fn end_where_refuted(search: &Search, selected: &mut Selected, evidence: &Ev
         if selected.found[item].score > cost {
             selected.state.items[item].span.to = end;
         } else {
-            remove(search, selected, item);
+            let rest = selected.state.without(&search.problem, item);
+            remove(search, selected, item, rest);
         }
     }
 }
 
-/// Removes an effect; the others are fitted again.
-fn remove(search: &Search, selected: &mut Selected, item: usize) {
+/// Removes an effect, `rest` is the state without it.
+fn remove(search: &Search, selected: &mut Selected, item: usize, rest: State) {
     let evidence = search.problem.evidence;
-    let rest = selected.state.without(&search.problem, item);
     let unmodelled = (0..evidence.joints()).map(|joint| rest.unmodelled(evidence, joint)).sum();
     let gone = selected.state.items[item].clone();
     selected.path.push(Step { item: gone, added: false, score: selected.found[item].score, unmodelled });

@@ -84,7 +84,7 @@ fn effect(line: &mut dyn FnMut(std::fmt::Arguments), spec: &Spec) {
     for (key, joint) in ["joint", "cause", "other"].into_iter().zip(spec.site.joints()) {
         line(format_args!("{key} = {}", joint + 1));
     }
-    let form = spec.family().ok().and_then(|family| family.form(spec.form));
+    let form = spec.form();
     let names = form.map_or(&[][..], |form| form.settings);
     let settings = names.iter().zip(&spec.settings).map(|(one, value)| format!("{} = {value:?}", one.name));
     let settings: Vec<String> = settings.collect();

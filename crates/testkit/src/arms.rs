@@ -1,7 +1,7 @@
 //! Arms and random states for the tests of the model.
 
 use nalgebra::{DVector, Matrix3, Rotation3, Vector3};
-use plumbline_model::{Body, Chain, Joint, JointKind, LinkParameters, Mounting, Placement, Robot, rnea};
+use plumbline_model::{Body, Chain, Joint, JointKind, LinkParameters, Mounting, Placement, Reduction, Robot, rnea};
 use rand::Rng;
 use rand::seq::IndexedRandom;
 use rand_chacha::ChaCha8Rng;
@@ -50,6 +50,12 @@ pub fn random_body(rng: &mut ChaCha8Rng) -> LinkParameters {
     let sigma = axes.matrix() * Matrix3::from_diagonal(&second) * axes.matrix().transpose() * mass;
     let inertia = sigma.trace() * Matrix3::identity() - sigma;
     Body { mass, com: Vector3::from_fn(|_, _| rng.random_range(-0.2..0.2)), inertia }.link_parameters()
+}
+
+/// Base parameters of random bodies that may be.
+pub fn random_base(reduction: &Reduction, links: usize, rng: &mut ChaCha8Rng) -> DVector<f64> {
+    let delta: Vec<f64> = (0..links).flat_map(|_| random_body(rng)).collect();
+    reduction.base_of(&DVector::from_vec(delta))
 }
 
 /// `n` numbers within `span` of zero.

@@ -1,7 +1,6 @@
 //! Models to export, and random states with the torques that they give.
 
-use crate::arms::random_body;
-use nalgebra::DVector;
+use crate::arms::random_base;
 use plumbline_core::{MAX_JOINTS, Torque};
 use plumbline_identify::consistency::{Nearest, Prior, Uncertainty, nearest};
 use plumbline_model::term::Sample;
@@ -27,9 +26,7 @@ pub fn robot(name: &str) -> Robot {
 pub fn model(robot: &Robot, terms: &[&str], seed: u64) -> TorqueModel {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let structure = Structure::of(robot.chain.clone(), Reduction::any_mounting(&robot.chain), terms).unwrap();
-    let delta =
-        DVector::from_iterator(10 * robot.chain.len(), (0..robot.chain.len()).flat_map(|_| random_body(&mut rng)));
-    let rigid = structure.reduction().base_of(&delta);
+    let rigid = random_base(structure.reduction(), robot.chain.len(), &mut rng);
     let others = structure.columns().len() - rigid.len();
     let mut values: Vec<(f64, Option<f64>)> = rigid.iter().map(|value| (*value, Some(0.01))).collect();
     values.extend((0..others).map(|_| (rng.random_range(0.05..0.6), Some(0.01))));

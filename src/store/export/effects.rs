@@ -79,7 +79,7 @@ pub fn with_payload(model: &TorqueModel, bodies: &Nearest) -> Result<Nearest, Li
 /// Column `c` of an effect as a value of the program, and its row; `load` has the rigid-body torques. `None` for an effect that
 /// [`notes_of_c`] names, and for one that is part of the rigid bodies.
 pub(super) fn column(program: &mut Program, spec: &Spec, c: usize, load: &[Value]) -> Option<(usize, Value)> {
-    let (InC::Columns(columns) | InC::Part { columns, .. }) = spec.family().ok()?.form(spec.form)?.in_c else {
+    let (InC::Columns(columns) | InC::Part { columns, .. }) = spec.form()?.in_c else {
         return None;
     };
     let [row, cause, other] = joints(spec.site);

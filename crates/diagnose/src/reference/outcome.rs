@@ -100,7 +100,7 @@ impl Comparison<'_> {
 impl Change {
     /// As it stands in files. `stored` is the model that it changes, `declared` how the base is declared to be mounted.
     pub fn effect(&self, stored: &TorqueModel, declared: Option<&Mounting>, in_model: bool) -> Effect {
-        let form = self.spec.family().ok().and_then(|family| family.form(self.spec.form));
+        let form = self.spec.form();
         let mut parameters = self.quantities(stored.parameters(), declared);
         if let Some(form) = form {
             let settings = form.settings.iter().zip(&self.spec.settings);

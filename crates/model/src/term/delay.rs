@@ -67,7 +67,7 @@ fn build_shifted(operating_point: &OperatingPoint, site: Site, settings: &[f64])
         arm: arm(gravity),
         shift,
         past: [JointVec::default(); MEMORY],
-        seen: 0,
+        newest: None,
     };
     AllRows::term(&FAMILY, "shifted", site, settings, columns(site), start)
 }
@@ -113,17 +113,30 @@ impl Law for Slope {
 struct Shifted {
     arm: Arm,
     shift: f64,
-    /// Torques of the last samples; the newest is at `seen - 1`, modulo the length.
+    /// Torques of the last samples, going round; those before the first sample are its own.
     past: [JointVec; MEMORY],
-    seen: usize,
+    /// Place of the newest.
+    newest: Option<usize>,
 }
 
 impl Shifted {
+    /// Remembers the torques of a sample.
+    fn remember(&mut self, torques: JointVec) {
+        let Some(before) = self.newest else {
+            (self.past, self.newest) = ([torques; MEMORY], Some(0));
+            return;
+        };
+        let newest = (before + 1) % MEMORY;
+        self.newest = Some(newest);
+        if let Some(place) = self.past.get_mut(newest) {
+            *place = torques;
+        }
+    }
+
     /// Torques that many samples before the newest, or the oldest known.
     fn before(&self, samples: usize) -> JointVec {
-        let back = samples.min(MEMORY - 1).min(self.seen.saturating_sub(1));
-        let at = (self.seen + 2 * MEMORY - 1 - back) % MEMORY;
-        self.past.get(at).copied().unwrap_or_default()
+        let at = self.newest.unwrap_or_default() + MEMORY - samples.min(MEMORY - 1);
+        self.past.get(at % MEMORY).copied().unwrap_or_default()
     }
 }
 
@@ -135,11 +148,9 @@ impl Law for Shifted {
     }
 
     fn at(&mut self, sample: &Sample, clock: &Clock, columns: &mut [JointVec]) {
+        let Some(column) = columns.first_mut() else { return };
         let torques = self.arm.torques(sample);
-        let (Some(place), Some(column)) = (self.past.get_mut(self.seen % MEMORY), columns.first_mut()) else { return };
-        *place = torques;
-        // Once full it counts round in the second half.
-        self.seen = if self.seen + 1 < 2 * MEMORY { self.seen + 1 } else { MEMORY };
+        self.remember(torques);
         let samples = self.shift / clock.dt;
         let (whole, part) = (samples as usize, samples.fract());
         let both = self.before(whole).into_iter().zip(self.before(whole.saturating_add(1)));

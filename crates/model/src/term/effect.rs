@@ -77,6 +77,11 @@ impl Spec {
         family(self.family).ok_or_else(|| EffectError::Family { id: self.family.to_string() })
     }
 
+    /// Its form; `None` where the family or the form is unknown.
+    pub fn form(&self) -> Option<&'static Form> {
+        self.family().ok()?.form(self.form)
+    }
+
     /// Whether the other is the same effect at the same place, whatever form and settings it has.
     pub fn is_same_effect(&self, other: &Spec) -> bool {
         (self.family, self.site) == (other.family, other.site)

@@ -232,6 +232,11 @@ impl Setting {
         self.unit == "rad" && matches!(self.scale, Scale::Logarithmic)
     }
 
+    /// Whether it is a speed of the joint.
+    pub fn is_speed(&self) -> bool {
+        self.unit == "rad/s"
+    }
+
     /// Position between `low` (0) and `high` (1) as a value.
     pub fn at(&self, share: f64) -> f64 {
         match self.scale {

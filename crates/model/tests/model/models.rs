@@ -1,11 +1,11 @@
 //! Models with effects, and the motions that they are evaluated along.
 
 use assert_no_alloc::{assert_no_alloc, violation_count};
-use nalgebra::{DMatrix, DVector};
+use nalgebra::DMatrix;
 use plumbline_model::term::Motion;
 use plumbline_model::term::effect::{Family, Form, OperatingPoint, Site, Spec, assemble};
 use plumbline_model::{Mounting, NamedEffect, NamedTerm, Reduction, Structure, TorqueModel};
-use plumbline_testkit::arms::{any_mounting, chain, draw, random_body};
+use plumbline_testkit::arms::{any_mounting, chain, draw, random_base};
 use rand::Rng;
 use rand_chacha::ChaCha8Rng;
 
@@ -48,8 +48,7 @@ pub fn model_within(robot: &str, rng: &mut ChaCha8Rng, span: f64) -> TorqueModel
 pub fn physical_model(robot: &str, rng: &mut ChaCha8Rng) -> TorqueModel {
     let model = rigid_model(robot, rng);
     let structure = model.structure();
-    let delta: Vec<f64> = (0..structure.chain().len()).flat_map(|_| random_body(rng)).collect();
-    let bodies = structure.reduction().base_of(&DVector::from_vec(delta));
+    let bodies = random_base(structure.reduction(), structure.chain().len(), rng);
     let friction = model.beta().split_off(bodies.len()).into_iter().map(f64::abs);
     let values: Vec<_> = bodies.iter().copied().chain(friction).map(|value| (value, Some(0.1))).collect();
     TorqueModel::new(robot, structure.clone(), vec![Mounting::WALL], &values).unwrap()

@@ -108,6 +108,16 @@ fn friction(operating_point: &OperatingPoint, motion: &Motion, joint: usize) -> 
     motion.dq.column(joint).iter().map(|dq| fv * dq + fc * (100.0 * dq).tanh()).collect()
 }
 
+/// Rigid-body torque, N x n, and friction of one joint together \[Nm\].
+fn with_friction(
+    torque: &DMatrix<f64>,
+    operating_point: &OperatingPoint,
+    motion: &Motion,
+    joint: usize,
+) -> DVector<f64> {
+    torque.column(joint) + DVector::from_vec(friction(operating_point, motion, joint))
+}
+
 /// Effects of a position error are what the rigid body does on the motion that is really shifted.
 #[test]
 fn a_position_error_shifts_the_motion() {
@@ -228,7 +238,7 @@ fn a_link_oscillates_on_its_gear() {
                 there.dq[(k, i)] -= first[k];
                 there.ddq[(k, i)] -= second[k];
             }
-            let carried = load(&model, &there).column(i) + DVector::from_vec(friction(&operating_point, &there, i));
+            let carried = with_friction(&load(&model, &there), &operating_point, &there, i);
             // The second half: how it swings at the beginning is no longer seen there.
             let half = motion.samples() / 2..motion.samples();
             let wrong = |k: usize| carried[k] - of_rotor(&there, k) - tau[k];
@@ -249,9 +259,8 @@ fn a_delay_is_the_slope_of_the_torque() {
     let spec = effect("delay", "", Site::Arm, &[]);
     let found = column_of(&operating_point, &spec, &motion, 0);
     for j in 0..7 {
-        let friction = friction(&operating_point, &motion, j);
-        let whole: Vec<f64> = torque.column(j).iter().zip(&friction).map(|(body, friction)| body + friction).collect();
-        let (slope, _) = differences(&whole, motion.dt);
+        let whole = with_friction(&torque, &operating_point, &motion, j);
+        let (slope, _) = differences(whole.as_slice(), motion.dt);
         let expected = -DVector::from_vec(slope);
         let (difference, scale) = ((found.column(j) - &expected).amax(), expected.amax());
         assert!(difference < 0.03 * scale, "joint {}: {difference:e} of {scale:e}", j + 1);
@@ -270,8 +279,8 @@ fn a_shifted_torque_is_that_of_an_earlier_time() {
         let found = column_of(&operating_point, &effect("delay", "shifted", Site::Arm, &[shift]), &motion, 0);
         let late = |k: usize| (4000.0 + k as f64 - shift / motion.dt) % 4000.0;
         for j in 0..7 {
-            let friction = friction(&operating_point, &motion, j);
-            let whole = |k: usize| torque[(k % 4000, j)] + friction[k % 4000];
+            let both = with_friction(&torque, &operating_point, &motion, j);
+            let whole = |k: usize| both[k % 4000];
             let between = |at: f64| whole(at as usize) + at.fract() * (whole(at as usize + 1) - whole(at as usize));
             let expected = DVector::from_fn(4000, |k, _| between(late(k)) - whole(k)) / shift;
             let (difference, scale) = ((found.column(j) - &expected).amax(), expected.amax());
