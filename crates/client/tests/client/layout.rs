@@ -34,6 +34,7 @@ fn a_model_with_another_number_of_the_layout_is_refused_by_name() {
 
     // The library's own thread keeps the error.
     let model = Model::follow(robot.as_str(), Expected::default(), TIMEOUT).unwrap();
+    wait_for("an error", || model.trouble());
     for _ in 0..5 {
         assert!(is_incompatible(model.trouble()), "{:?}", model.trouble());
         std::thread::sleep(Duration::from_millis(10));
