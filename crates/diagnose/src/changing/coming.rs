@@ -134,10 +134,15 @@ impl Coming {
 
     /// What its torque would be along the mean motion.
     pub fn torque_along_mean(&self, record: &Record, row: usize, theta: &[f64]) -> DMatrix<f64> {
-        sum(record, &signals(&self.mean, record, row), theta)
+        sum(record, &self.since_along_mean(record, row), theta)
     }
 
-    /// Its columns from a row of the run on, as a signal of the whole run for each joint.
+    /// Its columns along the mean motion from a row of the run on, as a signal of the whole run for each joint.
+    pub fn since_along_mean(&self, record: &Record, row: usize) -> Vec<(usize, Vec<Vec<f64>>)> {
+        signals(&self.mean, record, row)
+    }
+
+    /// The same along the run's own motion.
     pub fn since(&self, record: &Record, row: usize) -> Vec<(usize, Vec<Vec<f64>>)> {
         let mut columns = signals(&self.bent, record, row);
         let settled = (row + (GIVING_WAY_S / record.dt) as usize).min(record.tau.nrows());

@@ -137,7 +137,11 @@ impl Deviations<'_> {
                 let score = self.score(trial, &fitted, count);
                 self.in_every_run(trial, &fitted).then_some((trial, fitted, score))
             });
-            let Some((trial, fitted, score)) = scored.max_by(|a, b| a.2.total_cmp(&b.2)) else { break };
+            let mut scored: Vec<_> = scored.collect();
+            scored.sort_by(|a, b| b.2.total_cmp(&a.2));
+            let shows =
+                |one: &(&Trial, Fitted, f64)| one.2 <= MIN_SCORE || self.shows_along_mean(&coming, one.0, &rest, count);
+            let Some((trial, fitted, score)) = scored.into_iter().find(shows) else { break };
             let best = self.refined((trial.clone(), fitted, score), &rest, count);
             if best.2 <= MIN_SCORE {
                 break;
@@ -196,12 +200,14 @@ impl Deviations<'_> {
             let (one, row) = (&coming[which], row?);
             let record = &self.records[one.run];
             let before = known.iter().find(|step| one.is_of(step, record) && record.masked_between(row, step.row));
-            Some(self.step(which, one, before.map_or(row, |step| step.row)))
+            let row = before.map_or(row, |step| step.row);
+            Some(self.step((which, one), row, one.since(record, row)))
         };
         rows.into_iter().enumerate().filter_map(trial).collect()
     }
 
-    fn step(&self, which: usize, coming: &Coming, row: usize) -> Trial {
+    /// What comes at a row, with these columns for each joint as signals of its run.
+    fn step(&self, (which, coming): (usize, &Coming), row: usize, columns: Vec<(usize, Vec<Vec<f64>>)>) -> Trial {
         let of_joint = |(joint, columns): (usize, Vec<Vec<f64>>)| {
             let mut runs = vec![Vec::new(); self.records.len()];
             let record = &self.records[coming.run];
@@ -212,9 +218,18 @@ impl Deviations<'_> {
             runs[coming.run] = columns.into_iter().map(centred).collect();
             (joint, runs)
         };
-        let columns = coming.since(&self.records[coming.run], row).into_iter().map(of_joint).collect();
+        let columns = columns.into_iter().map(of_joint).collect();
         let (what, shared) = (What::Step(which, row), Shared::Parameters);
         Trial { what, width: coming.width, shared, columns, along: Vec::new() }
+    }
+
+    /// Whether a step pays for itself by what it does along the mean motion alone. Along a run's own motion its columns have the noise of the motion that
+    /// the deviations have, too: a body that comes where hardly a sample tells of its torque explains that noise for a second.
+    fn shows_along_mean(&self, coming: &[Coming], trial: &Trial, rows: &[Rows], candidates: usize) -> bool {
+        let What::Step(which, row) = trial.what else { return true };
+        let one = &coming[which];
+        let trial = self.step((which, one), row, one.since_along_mean(&self.records[one.run], row));
+        self.fit(&trial, rows).is_some_and(|fitted| self.score(&trial, &fitted, candidates) > MIN_SCORE)
     }
 
     /// Parameters of a drift in a run.

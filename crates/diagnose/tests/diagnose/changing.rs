@@ -8,7 +8,7 @@ mod drifts;
 use nalgebra::{DMatrix, DVector, Vector3};
 use plumbline_diagnose::changing::{Changing, Course, Drifting, Shared, changing, cleaned, until_the_end};
 use plumbline_diagnose::{Fitted, Input, Trial, diagnose};
-use plumbline_excite::PeriodicMotion;
+use plumbline_excite::{Fourier, PeriodicMotion};
 use plumbline_identify::signal::spectral::Spectral;
 use plumbline_identify::solve::Options;
 use plumbline_identify::{ExcludedSpan, Experiment, Run, Settings};
@@ -195,23 +195,29 @@ fn a_step_of_a_coarse_encoder_is_no_outlier() {
 
 /// Ten periods of the simulated arm with effects of its own, after one that nobody records.
 fn driven(effects: &str, seed: u64) -> Run {
+    let [plans, _] = scene::lab::plans();
+    driven_along(&plans[0].fourier().unwrap(), PERIODS, effects, seed)
+}
+
+/// So many periods of a motion.
+fn driven_along(motion: &Fourier, periods: usize, effects: &str, seed: u64) -> Run {
     let stage = stage();
     let truth = arm_with("sim-panda", effects);
     let [plans, _] = scene::lab::plans();
-    let plan = &plans[0];
-    let mut arm = scene::still(&stage.chain, &truth, plan.mounting(), &plan.q0, seed);
-    let reference = PeriodicMotion::new(&plan.fourier().unwrap(), PERIODS as u32 + 1).unwrap();
-    let samples = (plan.period / DT).round() as usize;
-    let (rows, n) = (PERIODS * samples, stage.chain.len());
-    let (mut q, mut tau) = (DMatrix::zeros(rows, n), DMatrix::zeros(rows, n));
+    let mounting = plans[0].mounting();
+    let mut arm = scene::still(&stage.chain, &truth, mounting, &motion.q0, seed);
+    let reference = PeriodicMotion::new(motion, periods as u32 + 1).unwrap();
+    let samples = (motion.period / DT).round() as usize;
+    let (rows, n) = (periods * samples, stage.chain.len());
+    let [mut q, mut dq, mut tau] = [0; 3].map(|_| DMatrix::zeros(rows, n));
     scene::drive(&mut arm, &reference, rows + samples, |tick, state, _| {
         let Some(k) = tick.checked_sub(samples) else { return };
         for j in 0..n {
-            (q[(k, j)], tau[(k, j)]) = (state.q[j], state.tau[j]);
+            (q[(k, j)], dq[(k, j)], tau[(k, j)]) = (state.q[j], state.dq[j], state.tau[j]);
         }
     });
     let t = (0..rows).map(|k| k as f64 * DT).collect();
-    Run { name: "driven".into(), t, q, dq: None, tau, mounting: plan.mounting(), period: Some(plan.period) }
+    Run { name: "driven".into(), t, q, dq: Some(dq), tau, mounting, period: Some(motion.period) }
 }
 
 #[test]
@@ -320,5 +326,22 @@ fn slow_noise_is_no_step_and_no_drift() {
         });
         let found = found(&runs);
         assert!(found.steps.is_empty() && found.drifts.is_empty(), "{seed}: {:?} {:?}", found.steps, found.drifts);
+    }
+}
+
+#[test]
+fn the_noise_of_velocities_is_no_body_that_comes_while_the_deviations_fade_in() {
+    // Stretched out, where accelerations weigh most.
+    let [plans, _] = scene::lab::plans();
+    let mut slow = plans[0].fourier().unwrap();
+    (slow.period, slow.q0) = (40.0, vec![0.0, 1.1, 0.0, -0.5, 0.0, 1.6, 0.0]);
+    (0..7).for_each(|joint| slow.scale_joint(joint, 0.3));
+    let stage = stage();
+    for seed in 0..4 {
+        let mut experiments = prepared(&[driven_along(&slow, 3, "", seed)], &kept());
+        experiments[0].follow_own_motion(|motion| stage.plain(motion));
+        let trials = Trial::in_turn(&experiments);
+        let found = changing(&stage.operating_point, &trials, |motion| stage.plain(motion));
+        assert!(found.steps.is_empty(), "seed {seed}: {:?}", found.steps[0].spec);
     }
 }
