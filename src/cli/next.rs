@@ -18,7 +18,7 @@ use plumbline_excite::{Margins, Search};
 pub struct Options {
     #[command(flatten)]
     diagnose: diagnose::Options,
-    /// Shortest period of the motion in s; two and four times as long ones are tried, too
+    /// Period of the motion in s
     #[arg(long, default_value_t = 10.0)]
     period: f64,
     /// How often the motion will be repeated

@@ -110,10 +110,7 @@ pub fn plan(options: &Options, stop: &(dyn Fn() -> bool + Sync)) -> Result<Plann
     };
     let search =
         Search { period: options.period, starts: options.starts as usize, seed: options.seed, ..Search::default() };
-    let score = |fourier: &Fourier| {
-        // The search also tries longer periods.
-        (fourier.period <= options.period).then(|| determined(&structure, &motion(fourier, &mounting), &sigma))
-    };
+    let score = |fourier: &Fourier| Some(determined(&structure, &motion(fourier, &mounting), &sigma));
     let control = SearchControl { threads: threads(), stop, progress: &|_| {} };
     let moving = n - options.joints..n;
     let found = task

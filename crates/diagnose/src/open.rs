@@ -271,17 +271,15 @@ impl OpenQuestions {
         answers.iter().map(|answer| answer.share.min(1.0) + BEYOND * answer.share).sum()
     }
 
-    /// A question for each first parameter and each setting of an effect whose interval is wider than a share of its value.
+    /// A question for each number of an effect whose interval is wider than a share of its [size](sizes).
     fn ask_for_intervals(&mut self, share: f64) {
         let covariance = self.covariance(&self.recorded.total(&self.phi));
         for part in &self.parts[..self.modelled] {
-            let Some(names) = names(&self.structure, self.beta.as_slice(), &part.item.spec) else { continue };
-            let width = part.item.rows.width;
-            let values = part.parameters.iter().chain(&part.item.spec.settings);
-            for (k, (value, parameter)) in values.zip(names).enumerate().filter(|(k, _)| *k == 0 || *k >= width) {
+            let Some(sizes) = sizes(&self.structure, &self.beta, part) else { continue };
+            for (k, parameter, size) in sizes {
                 let column = part.columns.start + k;
                 let half_width = INTERVAL_DEVIATIONS * covariance[(column, column)].max(0.0).sqrt();
-                let wanted = share * value.abs();
+                let wanted = share * size;
                 if half_width > wanted && wanted > 0.0 {
                     let effect = part.item.spec.clone();
                     let question = Question::Interval { effect, parameter, half_width, wanted };
@@ -369,12 +367,18 @@ impl OpenQuestions {
     }
 }
 
-/// Names of an effect's linear parameters and settings.
-fn names(structure: &Structure, beta: &[f64], spec: &Spec) -> Option<Vec<String>> {
+/// The numbers of an effect that an interval is asked for: place among its columns, name, and the size that the interval is compared with. A setting's size
+/// is its value. Linear parameters are those in the first one's unit, and their size is the norm of all of them: the sine of a ripple may be zero.
+fn sizes(structure: &Structure, beta: &[f64], part: &Part) -> Option<Vec<(usize, String, f64)>> {
+    let spec = &part.item.spec;
     let linear = spec.build(&structure.operating_point(beta)).ok()?.columns();
-    let form = spec.form()?;
-    let settings = form.settings.iter().map(|setting| setting.name.to_string());
-    Some(linear.into_iter().map(|column| column.name).chain(settings).collect())
+    let unit = linear.first()?.unit;
+    let alike = |k: &usize| linear[*k].unit == unit;
+    let size = (0..linear.len()).filter(alike).map(|k| part.parameters[k].powi(2)).sum::<f64>().sqrt();
+    let settings = spec.form()?.settings.iter().zip(&spec.settings).enumerate();
+    let settings = settings.map(|(k, (setting, value))| (linear.len() + k, setting.name.to_string(), value.abs()));
+    let linear_sizes = (0..linear.len()).filter(alike).map(|k| (k, linear[k].name.clone(), size));
+    Some(linear_sizes.chain(settings).collect())
 }
 
 /// `ln det` of an information matrix on the directions that it determines.

@@ -1,4 +1,4 @@
-//! Search of a motion by a score that has no gradient: random motions of several sizes and speeds, the best of which are perturbed.
+//! Search of a motion by a score that has no gradient: random motions of several sizes, the best of which are perturbed.
 
 use super::ExciteError;
 use super::fourier::Fourier;
@@ -13,8 +13,6 @@ use std::ops::Range;
 /// Shares of every joint's range of motion that the random motions use in turn: effects of friction show at low speeds and small strokes, those of
 /// inertia and load at large ones.
 const AMPLITUDES: [f64; 4] = [0.95, 0.5, 0.25, 0.12];
-/// Periods in turn, as multiples of the given one.
-const PERIODS: [f64; 3] = [1.0, 2.0, 4.0];
 /// Number of best motions that a round starts from, and perturbations of each.
 const ELITES: usize = 2;
 const PERTURBATIONS: usize = 4;
@@ -65,9 +63,7 @@ pub fn best_by_score(
             return Ok(None);
         }
         let mut rng = stream(search.seed, *k);
-        let period = search.period * PERIODS[(k / AMPLITUDES.len()) % PERIODS.len()];
-        let own = Search { period, ..search.clone() };
-        random_motion(problem, &own, AMPLITUDES[k % AMPLITUDES.len()], &mut rng).and_then(judged)
+        random_motion(problem, search, AMPLITUDES[k % AMPLITUDES.len()], &mut rng).and_then(judged)
     };
     let starts: Vec<usize> = (0..search.starts).collect();
     let mut best: Vec<Scored> = Vec::new();
@@ -97,9 +93,7 @@ pub fn best_by_score(
     }
     let found = best.into_iter().max_by(|a, b| a.score.total_cmp(&b.score));
     match (found, first_error) {
-        (Some(Scored { fourier, .. }), _) => {
-            plan_of(problem, &Search { period: fourier.period, ..search.clone() }, fourier)
-        }
+        (Some(Scored { fourier, .. }), _) => plan_of(problem, search, fourier),
         (None, Some(error)) => Err(error),
         (None, None) => Err(ExciteError::Budget { starts: search.starts, samples: search.samples }),
     }
