@@ -308,7 +308,9 @@ impl Results {
         let planner = Planner::of(&self.job, &self.robot, arm.as_ref())?;
         let usable = |fourier: &Fourier| is_reached(&planner, &fourier.q0);
         let (plan, questions) = planner.next(&self.job.mounting, |problem, search| {
-            let search = Search { starts: next::STARTS, rounds: next::ROUNDS, ..search.clone() };
+            // A motion that the job names may have another period than one that it plans.
+            let period = self.runs(Role::Identify).first().and_then(|run| run.data.period).unwrap_or(search.period);
+            let search = Search { period, starts: next::STARTS, rounds: next::ROUNDS, ..search.clone() };
             next::next(&diagnosed.open, problem, &search, self.job.excitation.periods, &usable, &|| false)
         })?;
         diagnosed.block.open = questions;

@@ -1,11 +1,15 @@
 //! Columns as the evidence has them: coefficients in the pass-band, divided by their noise.
 
 use super::evidence::{Cell, Evidence};
+use super::fit::inverse;
 use super::span::Span;
 use nalgebra::{DMatrix, DMatrixView};
 use std::borrow::Cow;
 use std::ops::Range;
 use std::sync::Arc;
+
+/// Largest share of a column's squares that rounding leaves of what other columns contain.
+const MAX_ROUNDING_RATIO: f64 = 1e-9;
 
 /// Coefficients of columns; joints that are not listed have none.
 #[derive(Clone, Debug, PartialEq)]
@@ -75,8 +79,50 @@ impl Rows {
         self.parts.iter().find(|(own, _)| *own == joint).map(|(_, part)| &**part)
     }
 
+    /// Whether a sum of its columns is each of the other's: an offset is a spring without stiffness, whatever the motion.
+    pub fn contains(&self, other: &Rows) -> bool {
+        let mut g = DMatrix::zeros(self.width, self.width);
+        for own in self.joints().filter_map(|joint| self.of(joint)) {
+            g.gemm_tr(1.0, &own, &own, 1.0);
+        }
+        let mut shared = DMatrix::zeros(self.width, other.width);
+        let mut squares = vec![0.0; other.width];
+        for joint in other.joints() {
+            let (Some(own), Some(theirs)) = (self.of(joint), other.of(joint)) else { return false };
+            shared.gemm_tr(1.0, &own, &theirs, 1.0);
+            theirs.column_iter().zip(&mut squares).for_each(|(column, square)| *square += column.norm_squared());
+        }
+        let made = inverse(&g) * &shared;
+        (0..other.width).all(|k| squares[k] - made.column(k).dot(&shared.column(k)) < MAX_ROUNDING_RATIO * squares[k])
+    }
+
     /// Whether every coefficient is a number.
     pub fn is_finite(&self) -> bool {
         self.parts.iter().all(|(_, part)| part.iter().all(|value| value.is_finite()))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn rows(parts: &[(usize, &[[f64; 4]])]) -> Rows {
+        let part = |&(joint, columns): &(usize, &[[f64; 4]])| {
+            (joint, DMatrix::from_fn(4, columns.len(), |r, c| columns[c][r]))
+        };
+        Rows::new(parts[0].1.len(), parts.iter().map(part).collect())
+    }
+
+    #[test]
+    fn an_offset_is_a_spring_without_stiffness_and_not_the_other_way_round() {
+        let (q, one) = ([0.9, 1.0, 1.1, 1.3], [1.0; 4]);
+        let (spring, offset) = (rows(&[(2, &[q, one])]), rows(&[(2, &[one])]));
+        assert!(spring.contains(&offset) && spring.contains(&spring) && !offset.contains(&spring));
+        // Over a short way a ripple is nearly a spring, and none.
+        let ripple = rows(&[(2, &[q.map(f64::sin), q.map(f64::cos)])]);
+        assert!(!ripple.contains(&offset) && !spring.contains(&ripple));
+        let [elsewhere, in_two] = [rows(&[(1, &[one])]), rows(&[(2, &[one]), (3, &[q])])];
+        assert!(!spring.contains(&elsewhere) && !spring.contains(&in_two) && !in_two.contains(&offset));
+        assert!(in_two.contains(&in_two));
     }
 }

@@ -310,7 +310,9 @@ impl<'a> Search<'a> {
             let itself = |other: &Candidate| {
                 other.spec.is_same_effect(&chosen.spec) && (chosen.span.is_all() || other.same_effect(&chosen))
             };
-            for other in others.iter().filter(|other| !itself(&other.item)) {
+            // What contains the chosen effect, and is no better, is not another explanation but more than is needed.
+            let more = |other: &Candidate| other.rows.contains(&chosen.rows);
+            for other in others.iter().filter(|other| !itself(&other.item) && !more(&other.item)) {
                 let gap = own.score - other.score;
                 let listed = rivals.iter().any(|rival| rival.item.same_effect(&other.item));
                 if gap < MAX_RIVAL_SCORE_GAP && !listed && (gap > 0.0 || self.passes(&at, other)) {

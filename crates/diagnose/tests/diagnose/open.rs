@@ -125,6 +125,26 @@ fn offset(_: &At) -> [f64; 2] {
 }
 
 #[test]
+fn both_parts_of_a_ripple_are_measured_by_its_size() {
+    let size = 12.0 * FLOOR;
+    let all = scaled(&[2.0, 2.0, 2.0], 151, |at| [0.0, size * (5.0 * at.q[1]).sin()]);
+    let asked = |until: f64| {
+        let interval = |question: &Question| match question {
+            Question::Interval { parameter, wanted, .. } => Some((parameter.clone(), *wanted)),
+            _ => None,
+        };
+        diagnosed(&all, Some(until)).open.questions().filter_map(interval).collect::<Vec<_>>()
+    };
+    let found = asked(1e-4);
+    let [(sine, of_sine), (cosine, of_cosine), (order, of_order)] = &found[..] else { panic!("{found:?}") };
+    assert!(sine.ends_with("sin") && cosine.ends_with("cos") && order == "n", "{found:?}");
+    assert!(of_sine == of_cosine && (of_sine / (1e-4 * size) - 1.0).abs() < 0.1, "{found:?}");
+    assert!((of_order / (1e-4 * 5.0) - 1.0).abs() < 0.02, "{found:?}");
+    // The cosine's part is near zero, and known well.
+    assert!(asked(0.3).is_empty(), "{:?}", asked(0.3));
+}
+
+#[test]
 fn what_has_no_name_asks_for_a_motion_unlike_the_recorded_ones() {
     // A torque that follows the product of both velocities' signs and no effect of the library.
     let strange = |at: &At| [0.0, 20.0 * FLOOR * (9.0 * at.q[0]).sin() * (7.0 * at.q[1]).cos()];
