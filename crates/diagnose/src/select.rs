@@ -1,5 +1,6 @@
 //! Forward selection of effects with re-identification at every step, and backward elimination.
 
+use super::deviations::slopes;
 use super::evidence::Evidence;
 use super::fit::Problem;
 use super::found::{Found, Progress, Rival, Step, Watch};
@@ -310,12 +311,18 @@ impl<'a> Search<'a> {
             let itself = |other: &Candidate| {
                 other.spec.is_same_effect(&chosen.spec) && (chosen.span.is_all() || other.same_effect(&chosen))
             };
-            // What contains the chosen effect, and is no better, is not another explanation but more than is needed.
-            let more = |other: &Candidate| other.rows.contains(&chosen.rows);
-            for other in others.iter().filter(|other| !itself(&other.item) && !more(&other.item)) {
+            // What contains the chosen effect, and is no better, is not another explanation but more than is needed: with other settings, too, as a spring
+            // that is taut from far away.
+            let more = |other: &Scored| {
+                let parameters = &other.tried.fit.theta.as_slice()[rest.fit.theta.len()..];
+                let slopes = slopes(self.evidence(), self.operating_point, &other.item, parameters);
+                other.item.rows.beside(&slopes).contains(&chosen.rows)
+            };
+            for other in others.iter().filter(|other| !itself(&other.item)) {
                 let gap = own.score - other.score;
                 let listed = rivals.iter().any(|rival| rival.item.same_effect(&other.item));
-                if gap < MAX_RIVAL_SCORE_GAP && !listed && (gap > 0.0 || self.passes(&at, other)) {
+                let near = gap < MAX_RIVAL_SCORE_GAP && !listed;
+                if near && (gap > 0.0 || self.passes(&at, other)) && !more(other) {
                     rivals.push(Rival { item: other.item.clone(), gap });
                 }
             }
