@@ -79,21 +79,6 @@ impl Rows {
         self.parts.iter().find(|(own, _)| *own == joint).map(|(_, part)| &**part)
     }
 
-    /// Its columns and those of another.
-    pub fn beside(&self, other: &Rows) -> Rows {
-        let width = self.width + other.width;
-        let part = |joint: usize| {
-            let [own, theirs] = [self, other].map(|rows| rows.of(joint));
-            let rows = own.as_ref().or(theirs.as_ref()).map_or(0, |part| part.nrows());
-            let mut part = DMatrix::zeros(rows, width);
-            own.iter().for_each(|own| part.columns_mut(0, self.width).copy_from(own));
-            theirs.iter().for_each(|theirs| part.columns_mut(self.width, other.width).copy_from(theirs));
-            (joint, part)
-        };
-        let others = other.joints().filter(|joint| self.of(*joint).is_none());
-        Rows::new(width, self.joints().chain(others).map(part).collect())
-    }
-
     /// Whether a sum of its columns is each of the other's: an offset is a spring without stiffness, whatever the motion.
     pub fn contains(&self, other: &Rows) -> bool {
         let mut g = DMatrix::zeros(self.width, self.width);
@@ -139,7 +124,5 @@ mod tests {
         let [elsewhere, in_two] = [rows(&[(1, &[one])]), rows(&[(2, &[one]), (3, &[q])])];
         assert!(!spring.contains(&elsewhere) && !spring.contains(&in_two) && !in_two.contains(&offset));
         assert!(in_two.contains(&in_two));
-        assert!(rows(&[(2, &[q])]).beside(&offset).contains(&offset) && !offset.beside(&elsewhere).contains(&spring));
-        assert!(offset.beside(&in_two).contains(&offset) && offset.beside(&elsewhere).contains(&elsewhere));
     }
 }

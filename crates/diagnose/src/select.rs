@@ -311,12 +311,12 @@ impl<'a> Search<'a> {
             let itself = |other: &Candidate| {
                 other.spec.is_same_effect(&chosen.spec) && (chosen.span.is_all() || other.same_effect(&chosen))
             };
-            // What contains the chosen effect, and is no better, is not another explanation but more than is needed: with other settings, too, as a spring
-            // that is taut from far away.
+            // What contains the chosen effect, and is no better, is not another explanation but more than is needed: in its columns, or in what its settings
+            // change, as a spring that is taut from far away. Both together are over a short way nearly anything.
             let more = |other: &Scored| {
                 let parameters = &other.tried.fit.theta.as_slice()[rest.fit.theta.len()..];
-                let slopes = slopes(self.evidence(), self.operating_point, &other.item, parameters);
-                other.item.rows.beside(&slopes).contains(&chosen.rows)
+                let slopes = || slopes(self.evidence(), self.operating_point, &other.item, parameters);
+                other.item.rows.contains(&chosen.rows) || slopes().contains(&chosen.rows)
             };
             for other in others.iter().filter(|other| !itself(&other.item)) {
                 let gap = own.score - other.score;
