@@ -321,8 +321,8 @@ impl<'a> Search<'a> {
             for other in others.iter().filter(|other| !itself(&other.item)) {
                 let gap = own.score - other.score;
                 let listed = rivals.iter().any(|rival| rival.item.same_effect(&other.item));
-                let near = gap < MAX_RIVAL_SCORE_GAP && !listed;
-                if near && (gap > 0.0 || self.passes(&at, other)) && !more(other) {
+                let another = || if gap > 0.0 { !more(other) } else { self.passes(&at, other) };
+                if gap < MAX_RIVAL_SCORE_GAP && !listed && another() {
                     rivals.push(Rival { item: other.item.clone(), gap });
                 }
             }
