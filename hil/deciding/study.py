@@ -94,7 +94,7 @@ def run(command, log):
         return subprocess.run([str(word) for word in command], stdout=out, stderr=subprocess.STDOUT, timeout=900).returncode
 
 
-def job(folder, number, seed, effect, diagnosis, periods, first=None):
+def job(program, folder, number, seed, effect, diagnosis, periods, first=None):
     """Writes and runs a job whose arm has an effect that nobody declared, and returns the diagnoses of its rounds."""
     kind, joint, keys = effect
     folder.mkdir(parents=True, exist_ok=True)
@@ -149,10 +149,10 @@ def effects(diagnosis):
     return [(e["id"], e["joints"]) for e in diagnosis["effects"]]
 
 
-def pair(number, folder, seed):
+def pair(program, number, folder, seed):
     """Verdicts and what was asked, round by round."""
     draw = Draw(seed)
-    told = job(folder, number, seed, (draw.kind, draw.joint, draw.keys), f"rounds = {ROUNDS}", round(RECORDED_S / draw.first[2]), draw.first)
+    told = job(program, folder, number, seed, (draw.kind, draw.joint, draw.keys), f"rounds = {ROUNDS}", round(RECORDED_S / draw.first[2]), draw.first)
     name = f'{draw.kind} {draw.joint} {draw.first} {" ".join(draw.keys.split())}'
     if isinstance(told, str):
         return None, f"{name}: {told}"
@@ -223,16 +223,16 @@ def widest(diagnosis):
     return max(shares, default=(math.nan, ""))
 
 
-def interval(number, folder, seed):
+def interval(program, number, folder, seed):
     name = list(INTERVALS)[number % len(INTERVALS)]
     effect = INTERVALS[name]
-    fixed = job(folder / "fixed", number, seed, effect, "rounds = 0", FIXED_PERIODS)
+    fixed = job(program, folder / "fixed", number, seed, effect, "rounds = 0", FIXED_PERIODS)
     if isinstance(fixed, str):
         return None, f"{name}: {fixed}"
     until = widest(fixed[-1])[0]
     if not until < 1.0:
         return None, f"{name}: found by the fixed motion: {effects(fixed[-1])}"
-    planned = job(folder / "planned", number, seed, effect, f"rounds = 1\nuntil = {until}", FIXED_PERIODS // 4)
+    planned = job(program, folder / "planned", number, seed, effect, f"rounds = 1\nuntil = {until}", FIXED_PERIODS // 4)
     if isinstance(planned, str):
         return None, f"{name}: {planned}"
     told = [widest(one) for one in (fixed[-1], planned[0], planned[-1])]
@@ -256,12 +256,11 @@ def intervals(found):
 
 
 def main():
-    global program
     study, program, out, first, count = sys.argv[1], sys.argv[2], pathlib.Path(sys.argv[3]).resolve(), int(sys.argv[4]), int(sys.argv[5])
     of_one, table = {"pairs": (pair, pairs), "intervals": (interval, intervals)}[study]
 
     def told(number):
-        result, words = of_one(number, out / str(first + number), first + number)
+        result, words = of_one(program, number, out / str(first + number), first + number)
         print(first + number, words, flush=True)
         return result
 

@@ -79,7 +79,7 @@ pub struct Diagnosis {
     pub threshold: Option<f64>,
     /// Further motions that are planned and driven while the diagnosis leaves something open.
     pub rounds: usize,
-    /// Wanted half width of the 95 % intervals of effects' parameters, as a share of their values; a wider one is left open.
+    /// Wanted half width of the 95 % intervals of effects' parameters, as a share of the effect's size; a wider one is left open.
     pub until: Option<f64>,
 }
 

@@ -26,7 +26,7 @@ pub struct Options {
     /// Detection threshold in Nm: smallest torque RMS of an effect; by default 0.7 of the noise of the mean period
     #[arg(long, value_name = "NM")]
     threshold: Option<f64>,
-    /// Wanted half width of the 95 % intervals of effects' parameters, as a share of their values; a wider one is left open
+    /// Wanted half width of the 95 % intervals of effects' parameters, as a share of the effect's size; a wider one is left open
     #[arg(long, value_name = "SHARE")]
     until: Option<f64>,
 }

@@ -57,7 +57,7 @@ pub struct Settings {
     pub least_share_left_out: f64,
     /// What the errors on unseen runs are taken of that a delivered model is judged by.
     pub judged_by: errors::Of,
-    /// Wanted half width of the 95 % intervals of effects' parameters, as a share of their values; a wider one is an open question.
+    /// Wanted half width of the 95 % intervals of effects' parameters, as a share of the effect's size; a wider one is an open question.
     pub until: Option<f64>,
     /// Highest torque of each joint, n \[Nm\]; empty where it is not known. A learned term gets a share of it.
     pub torque_limits: Vec<f64>,
