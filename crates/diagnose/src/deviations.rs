@@ -49,7 +49,7 @@ impl Deviations {
             columns.push(&slopes(evidence, search.operating_point, item, beta.as_slice()));
         }
         let information = search.problem.information(&columns.moments(evidence), &state.fit.weights);
-        let left_out = search.problem.left_out(&state.moments, &state.fit.weights);
+        let left_out = search.problem.left_out(state.moments(evidence), &state.fit.weights);
         let jackknife = (0..state.fit.theta.len()).map(|column| jackknife(&left_out, column)).collect();
         Deviations { covariance: inverse(&information), first, jackknife }
     }

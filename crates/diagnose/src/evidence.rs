@@ -18,6 +18,7 @@ use plumbline_model::term::{Motion, Term};
 use plumbline_model::{Chain, Structure};
 use std::collections::BTreeMap;
 use std::ops::Range;
+use std::sync::Arc;
 
 /// Upper edges of the bands that have a scale of their own \[Hz\].
 pub const BAND_EDGES_HZ: [f64; 7] = [0.55, 1.05, 2.0, 4.0, 8.0, 16.0, f64::INFINITY];
@@ -280,7 +281,7 @@ impl Evidence {
                 term.fill(&self.chain, motion, &mut y, 0);
             }
             if let Some(share) = share {
-                let (first, every) = if std::ptr::eq(motion, whole) { (0, 1) } else { (step / 2, *step) };
+                let (first, every) = if Arc::ptr_eq(motion, whole) { (0, 1) } else { (step / 2, *step) };
                 let share: Vec<f64> = share.into_iter().skip(first).step_by(every).take(samples).collect();
                 for column in y.as_mut_slice().chunks_exact_mut(samples) {
                     column.iter_mut().zip(&share).for_each(|(value, share)| *value *= share);
@@ -343,7 +344,7 @@ impl Evidence {
             return None;
         }
         let Fold { experiment, samples, .. } = &self.folds[fold];
-        let Motion { dt, periodic, .. } = self.motions[*experiment].whole;
+        let Motion { dt, periodic, .. } = *self.motions[*experiment].whole;
         (!periodic).then_some(samples.len() as f64 * dt)
     }
 

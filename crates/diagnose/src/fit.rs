@@ -10,9 +10,10 @@
 //! has no known scale, `v` is 0 and `phi` is near `RSS / n`.
 
 use super::evidence::{BAND_EDGES_HZ, Evidence, LOW_BANDS};
-use super::moments::{GroupedCross, Moments};
+use super::moments::{GroupedCross, GroupedMoments, Moments};
 use nalgebra::{DMatrix, DVector};
 use plumbline_core::symmetric_eigen;
+use std::ops::Range;
 
 /// Directions of the equilibrated normal equations below this share of the largest are treated as undetermined.
 const RANK_RATIO: f64 = 1e-11;
@@ -28,14 +29,6 @@ const SETTLED_LOG_RATIO: f64 = 0.02;
 /// Fewer folds do not tell how they disagree.
 pub(super) const MIN_FOLDS: usize = 3;
 
-/// Which folds count.
-pub type Chosen<'a> = &'a dyn Fn(usize) -> bool;
-
-/// Every fold.
-pub fn every(_fold: usize) -> bool {
-    true
-}
-
 /// A Gaussian prior of the parameters: minus twice the log likelihood is `theta' precision theta`.
 #[derive(Clone, Debug)]
 pub struct Prior {
@@ -43,7 +36,7 @@ pub struct Prior {
     pub precision: DMatrix<f64>,
 }
 
-/// A model fitted to some folds.
+/// A model fitted to all folds.
 #[derive(Clone, Debug)]
 pub struct Fit {
     /// Parameters.
@@ -56,12 +49,12 @@ pub struct Fit {
     pub phi: Vec<f64>,
     /// Squared residual of each group.
     pub rss: Vec<f64>,
-    /// Rows of each group.
-    pub count: Vec<f64>,
     /// Log likelihood, with what the prior adds.
     pub likelihood: f64,
-    /// Of each group, `M'M` and the slope `M'(r - M theta)`.
-    sums: Vec<Option<(DMatrix<f64>, DVector<f64>)>>,
+    /// What it was fitted to.
+    pub sums: GroupedMoments,
+    /// `M'(r - M theta)` of each group that has rows.
+    slopes: Vec<Option<DVector<f64>>>,
 }
 
 /// What a candidate does to a fit.
@@ -86,16 +79,6 @@ pub fn group(joint: usize, band: usize) -> usize {
     joint * BAND_EDGES_HZ.len() + band
 }
 
-/// Sums of normal equations over the cells of each group.
-struct Grouped {
-    width: usize,
-    sums: Vec<Option<(DMatrix<f64>, DVector<f64>)>>,
-    /// Squares of the torques.
-    r2: Vec<f64>,
-    /// Rows.
-    count: Vec<f64>,
-}
-
 /// A fit without the sums that it came from.
 struct Estimate {
     theta: DVector<f64>,
@@ -107,13 +90,11 @@ struct Estimate {
 }
 
 impl Estimate {
-    fn into_fit(self, grouped: Grouped) -> Fit {
+    fn into_fit(self, sums: GroupedMoments) -> Fit {
         let Estimate { theta, h, weights, phi, rss, likelihood } = self;
-        let Grouped { mut sums, count, .. } = grouped;
-        for (own_g, own_b) in sums.iter_mut().flatten() {
-            own_b.gemv(-1.0, own_g, &theta, 1.0);
-        }
-        Fit { theta, h, weights, phi, rss, count, likelihood, sums }
+        let slope = |(g, b): &(DMatrix<f64>, DVector<f64>)| b - g * &theta;
+        let slopes = sums.groups.iter().map(|own| own.as_ref().map(slope)).collect();
+        Fit { theta, h, weights, phi, rss, likelihood, sums, slopes }
     }
 }
 
@@ -173,92 +154,77 @@ impl Problem<'_> {
         -0.5 * rss.iter().zip(count).zip(&phi).map(group).sum::<f64>()
     }
 
-    /// Fits a model to the chosen folds. The weights settle from `phi` on, and where the noise is known once more from that of the noise alone: a model
+    /// Fits a model. The weights settle from `phi` on, and where the noise is known once more from that of the noise alone: a model
     /// that lacked much has no weight left where it did, and settles there although it lacks nothing any more. The likelier fit is taken.
-    pub fn fit(&self, moments: &Moments, chosen: Chosen, phi: Option<&[f64]>) -> Fit {
-        let grouped = self.grouped(moments, chosen);
+    pub fn fit(&self, sums: GroupedMoments, phi: Option<&[f64]>) -> Fit {
         let ones = vec![1.0; self.groups()];
-        let mut best = self.settled(&grouped, phi.unwrap_or(&ones));
+        let mut best = self.settled(&sums, phi.unwrap_or(&ones));
         if phi.is_some() && self.evidence.repeats() {
-            let afresh = self.settled(&grouped, &ones);
+            let afresh = self.settled(&sums, &ones);
             if afresh.likelihood > best.likelihood {
                 best = afresh;
             }
         }
-        best.into_fit(grouped)
+        best.into_fit(sums)
     }
 
-    fn settled(&self, grouped: &Grouped, phi: &[f64]) -> Estimate {
-        let mut fit = self.estimate(grouped, phi);
+    /// The fit of a model with one more candidate.
+    pub fn fit_with(&self, fit: &Fit, cross: &GroupedCross) -> Fit {
+        self.fit(fit.sums.with(cross), Some(&fit.phi))
+    }
+
+    /// The fit of a model without some of its columns.
+    pub fn fit_without(&self, fit: &Fit, gone: Range<usize>) -> Fit {
+        self.fit(fit.sums.without(gone), Some(&fit.phi))
+    }
+
+    fn settled(&self, sums: &GroupedMoments, phi: &[f64]) -> Estimate {
+        let mut fit = self.estimate(sums, phi);
         for _ in 1..MAX_WEIGHT_ROUNDS {
             let settled = |(new, old): (&f64, &f64)| (new / old).ln().abs() < SETTLED_LOG_RATIO;
             if fit.phi.iter().zip(&fit.weights).all(settled) {
                 break;
             }
-            fit = self.estimate(grouped, &fit.phi);
+            fit = self.estimate(sums, &fit.phi);
         }
         fit
     }
 
     /// One fit with given weights.
-    pub fn weighted(&self, moments: &Moments, chosen: Chosen, phi: &[f64]) -> Fit {
-        let grouped = self.grouped(moments, chosen);
-        self.estimate(&grouped, phi).into_fit(grouped)
+    pub fn weighted(&self, sums: GroupedMoments, phi: &[f64]) -> Fit {
+        self.estimate(&sums, phi).into_fit(sums)
     }
 
     /// The same model with the weight of its quietest band in all bands of a joint. A joint in which the model lacks much has no weight of its own, and
     /// may be the only one that tells a candidate from the other columns.
-    pub fn quiet(&self, fit: &Fit, moments: &Moments) -> Fit {
+    pub fn quiet(&self, fit: &Fit) -> Fit {
         let least = |bands: &[f64]| vec![bands.iter().copied().fold(f64::INFINITY, f64::min); bands.len()];
         let phi: Vec<f64> = fit.weights.chunks(BAND_EDGES_HZ.len()).flat_map(least).collect();
-        self.weighted(moments, &every, &phi)
+        self.weighted(fit.sums.clone(), &phi)
     }
 
-    /// Sums over the cells of each group.
-    fn grouped(&self, moments: &Moments, chosen: Chosen) -> Grouped {
-        let groups = self.groups();
-        let mut grouped =
-            Grouped { width: moments.width, sums: vec![None; groups], r2: vec![0.0; groups], count: vec![0.0; groups] };
-        for (cell, own) in self.evidence.cells().iter().zip(&moments.cells) {
-            if !chosen(cell.fold) {
-                continue;
-            }
-            let at = group(cell.joint, cell.band);
-            grouped.r2[at] += own.r2;
-            grouped.count[at] += own.count as f64;
-            match &mut grouped.sums[at] {
-                Some((sum, vector)) => {
-                    *sum += &own.g;
-                    *vector += &own.b;
-                }
-                empty => *empty = Some((own.g.clone(), own.b.clone())),
-            }
-        }
-        grouped
-    }
-
-    fn estimate(&self, grouped: &Grouped, phi: &[f64]) -> Estimate {
-        let p = grouped.width;
+    fn estimate(&self, sums: &GroupedMoments, phi: &[f64]) -> Estimate {
+        let p = sums.width;
         let (mut g, mut b) = (DMatrix::zeros(p, p), DVector::zeros(p));
-        for (at, sums) in grouped.sums.iter().enumerate() {
-            if let Some((own_g, own_b)) = sums {
-                g.zip_apply(own_g, |sum, own| *sum += own / phi[at]);
-                b.axpy(1.0 / phi[at], own_b, 1.0);
+        for (own, phi) in sums.groups.iter().zip(phi) {
+            if let Some((own_g, own_b)) = own {
+                g.zip_apply(own_g, |sum, own| *sum += own / phi);
+                b.axpy(1.0 / phi, own_b, 1.0);
             }
         }
         self.add_prior(&mut g);
         let h = inverse(&g);
         let theta = &h * b;
-        let mut rss = grouped.r2.clone();
-        for (rss, sums) in rss.iter_mut().zip(&grouped.sums) {
-            if let Some((own_g, own_b)) = sums {
+        let mut rss = sums.r2.clone();
+        for (rss, own) in rss.iter_mut().zip(&sums.groups) {
+            if let Some((own_g, own_b)) = own {
                 let fitted = own_g * &theta;
                 *rss = (*rss - 2.0 * theta.dot(own_b) + fitted.dot(&theta)).max(0.0);
             }
         }
         let weights = phi.to_vec();
-        let phi = self.phi(&rss, &grouped.count);
-        let likelihood = self.likelihood(&rss, &grouped.count) + self.of_prior(&theta);
+        let phi = self.phi(&rss, &sums.count);
+        let likelihood = self.likelihood(&rss, &sums.count) + self.of_prior(&theta);
         Estimate { theta, h, weights, phi, rss, likelihood }
     }
 
@@ -361,7 +327,7 @@ impl Problem<'_> {
         let whole = (&c * &gamma).dot(&gamma);
         let independence = (&alone * &gamma).dot(&gamma) / whole.max(f64::MIN_POSITIVE);
         let rss = self.changed(fit, cross, joints, &gamma, &shift);
-        let likelihood = self.likelihood(&rss, &fit.count) + self.of_prior(&(&fit.theta + &shift));
+        let likelihood = self.likelihood(&rss, &fit.sums.count) + self.of_prior(&(&fit.theta + &shift));
         let evidence = 2.0 * (likelihood - fit.likelihood);
         let falls = fit.rss.iter().zip(&rss).zip(&fit.weights).map(|((before, after), phi)| (before - after) / phi);
         let elsewhere = slope.dot(&gamma) - falls.sum::<f64>();
@@ -390,9 +356,9 @@ impl Problem<'_> {
         shift: &DVector<f64>,
     ) -> Vec<f64> {
         let mut rss = fit.rss.clone();
-        for (at, sums) in fit.sums.iter().enumerate() {
+        for (at, (own, slope)) in fit.sums.groups.iter().zip(&fit.slopes).enumerate() {
             let counts = joints.is_none_or(|joints| joints.contains(&(at / BAND_EDGES_HZ.len())));
-            if let Some((g, slope)) = sums.as_ref().filter(|_| counts) {
+            if let Some(((g, _), slope)) = own.as_ref().zip(slope.as_ref()).filter(|_| counts) {
                 rss[at] += (g * shift).dot(shift) - 2.0 * slope.dot(shift);
             }
         }

@@ -100,9 +100,9 @@ struct Bin {
 #[derive(Clone, Debug)]
 pub(super) struct Thinned {
     /// All samples.
-    pub whole: Motion,
+    pub whole: Arc<Motion>,
     /// Some of them.
-    pub few: Motion,
+    pub few: Arc<Motion>,
     /// Every how many-th sample the second has.
     pub step: usize,
 }
@@ -152,7 +152,7 @@ impl Thinned {
         let start = motion.start + (step / 2) as f64 * motion.dt;
         let (q, dq, ddq) = (thin(&motion.q), thin(&motion.dq), thin(&motion.ddq));
         let few = Motion { dt: motion.dt * step as f64, q, dq, ddq, start, ..motion.clone() };
-        Thinned { whole: motion.clone(), few, step }
+        Thinned { whole: Arc::new(motion.clone()), few: Arc::new(few), step }
     }
 }
 

@@ -86,8 +86,8 @@ pub fn folds(problem: &Problem, state: &State, tried: &Tried) -> FoldTest {
     if count < 2 {
         return found;
     }
-    let (phi, moments) = (&tried.fit.phi, tried.moments(state));
-    let alone = alone(problem, tried);
+    let (phi, moments) = (&tried.fit.phi, tried.moments(problem.evidence, state));
+    let alone = alone(problem, state, tried);
     let energies = energies(problem, state, tried, &moments);
     let total = energies.iter().sum::<f64>().max(f64::MIN_POSITIVE);
     let within = |(fold, energy): (usize, &f64)| {
@@ -100,12 +100,13 @@ pub fn folds(problem: &Problem, state: &State, tried: &Tried) -> FoldTest {
     let known = problem.evidence.repeats();
     if known && !tried.held {
         let surprises = |moments| problem.surprise(moments, phi).into_iter();
-        let falls = surprises(&moments).zip(surprises(&state.moments)).map(|(with, without)| with < without);
+        let falls =
+            surprises(&moments).zip(surprises(state.moments(problem.evidence))).map(|(with, without)| with < without);
         found.positive = falls.zip(informative).filter(|(falls, informative)| *falls && *informative).count();
         return found;
     }
     let with = problem.left_out(&moments, phi);
-    let without = if tried.held { Vec::new() } else { problem.left_out(&state.moments, phi) };
+    let without = if tried.held { Vec::new() } else { problem.left_out(state.moments(problem.evidence), phi) };
     // Per joint: weighted and plain error and that of the low bands, each without and with the candidate.
     let mut errors = vec![[[0.0; 2]; 3]; problem.evidence.joints()];
     let (mut falls, mut rises) = (0.0, 0.0);
@@ -118,7 +119,7 @@ pub fn folds(problem: &Problem, state: &State, tried: &Tried) -> FoldTest {
         // With a prior, the other parameters are those of the fit with the candidate.
         let held = || with[fold].rows(0, state.fit.theta.len()).into_owned();
         let theta = without.get(fold).cloned().unwrap_or_else(held);
-        let error_without = problem.of_fold(&state.moments, &theta, fold, phi);
+        let error_without = problem.of_fold(state.moments(problem.evidence), &theta, fold, phi);
         for (sums, own) in errors.iter_mut().zip(error_without.iter().zip(&error_with)) {
             for (sum, (without, with)) in sums.iter_mut().zip(own.0.iter().zip(own.1)) {
                 sum[0] += without;
@@ -149,7 +150,7 @@ pub fn left_out(problem: &Problem, before: &State, after: &State) -> Vec<[f64; 2
     let (evidence, phi) = (problem.evidence, &before.fit.phi);
     let mut errors = vec![[0.0; 2]; evidence.joints()];
     for (which, state) in [before, after].into_iter().enumerate() {
-        for (fold, theta) in evidence.folds().iter().zip(problem.left_out(&state.moments, phi)) {
+        for (fold, theta) in evidence.folds().iter().zip(problem.left_out(state.moments(evidence), phi)) {
             let (first, count) = (fold.rows.start, fold.rows.len());
             for (joint, sum) in errors.iter_mut().enumerate() {
                 let columns = state.columns.m[joint].rows(first, count);
@@ -164,10 +165,10 @@ pub fn left_out(problem: &Problem, before: &State, after: &State) -> Vec<[f64; 2
 
 /// Folds that are the only one in which a candidate acts, or the only one in which it does not: without such a fold, nothing tells the candidate
 /// from the other columns.
-fn alone(problem: &Problem, tried: &Tried) -> Vec<usize> {
+fn alone(problem: &Problem, state: &State, tried: &Tried) -> Vec<usize> {
     let evidence = problem.evidence;
     let mut acts = vec![false; evidence.folds().len()];
-    tried.cross.cells.iter().for_each(|(cell, _)| acts[evidence.cells()[*cell].fold] = true);
+    tried.cross(evidence, state).cells.iter().for_each(|(cell, _)| acts[evidence.cells()[*cell].fold] = true);
     let only = |value: bool| {
         let mut folds = (0..acts.len()).filter(|&fold| acts[fold] == value);
         folds.next().filter(|_| folds.next().is_none())
@@ -208,7 +209,7 @@ fn change(state: &State, tried: &Tried) -> DVector<f64> {
 pub fn dispersion(problem: &Problem, state: &State, tried: &Tried, item: &Candidate, everywhere: &Rows) -> f64 {
     let (evidence, own) = (problem.evidence, state.fit.theta.len());
     let gamma = tried.fit.theta.rows(own, item.rows.width);
-    let left_out = problem.left_out(&tried.moments(state), &tried.fit.phi);
+    let left_out = problem.left_out(&tried.moments(evidence, state), &tried.fit.phi);
     let (mut products, mut expected) = (vec![0.0; evidence.folds().len()], 0.0);
     for joint in item.joints() {
         let (Some(here), Some(everywhere)) = (item.rows.of(joint), everywhere.of(joint)) else { continue };

@@ -54,6 +54,19 @@ pub struct CrossMoment {
     pub d: DVector<f64>,
 }
 
+/// Of one model in each group: all folds together.
+#[derive(Clone, Debug)]
+pub struct GroupedMoments {
+    /// Number of columns.
+    pub width: usize,
+    /// `M'M` and `M'r` of each group that has rows.
+    pub groups: Vec<Option<(DMatrix<f64>, DVector<f64>)>>,
+    /// `r'r`.
+    pub r2: Vec<f64>,
+    /// Rows.
+    pub count: Vec<f64>,
+}
+
 /// Of a candidate with a model, in the groups of the candidate's joints: all folds together.
 #[derive(Clone, Debug)]
 pub struct GroupedCross {
@@ -117,12 +130,14 @@ impl Columns {
     }
 }
 
-/// The columns of a model with the rows of a group side by side. What a candidate brings to all folds together, which is asked of every candidate of the
-/// library, is a few products of long columns then instead of many of short ones.
+/// The columns of a model with the rows of a group side by side. What candidates bring to all folds together, which is asked of every one of the library, is
+/// a product of two matrices then instead of many of short columns.
 #[derive(Clone, Debug)]
 pub struct GroupedColumns {
-    /// The columns in this order.
-    columns: Columns,
+    /// `M'` of each joint, columns x rows.
+    transposed: Vec<DMatrix<f64>>,
+    /// `r` of each joint.
+    r: Vec<DVector<f64>>,
     /// Rows of a joint, band by band.
     order: Vec<usize>,
     /// The rows of each band in that order.
@@ -139,28 +154,41 @@ impl GroupedColumns {
             order.extend(own.flat_map(|cell| cell.rows.clone()));
             bands.push(first..order.len());
         }
-        let m = columns.m.iter().map(|m| m.select_rows(&order)).collect();
+        let transposed = columns.m.iter().map(|m| m.select_rows(&order).transpose()).collect();
         let r = columns.r.iter().map(|r| r.select_rows(&order)).collect();
-        GroupedColumns { columns: Columns { m, r }, order, bands }
+        GroupedColumns { transposed, r, order, bands }
     }
 
-    /// The sums of a candidate with them.
-    pub fn cross(&self, rows: &Rows) -> GroupedCross {
-        let mut groups = Vec::new();
-        for joint in rows.joints() {
-            let Some(part) = rows.of(joint) else { continue };
-            let c = part.select_rows(&self.order);
+    /// The sums of candidates with them, in their order.
+    pub fn cross(&self, candidates: &[&Rows]) -> Vec<GroupedCross> {
+        let empty = |rows: &&Rows| GroupedCross { width: rows.width, exact: rows.exact, groups: Vec::new() };
+        let mut crosses: Vec<GroupedCross> = candidates.iter().map(empty).collect();
+        for joint in 0..self.transposed.len() {
+            let own: Vec<_> =
+                candidates.iter().enumerate().filter_map(|(at, rows)| Some((at, rows.of(joint)?))).collect();
+            let mut c = DMatrix::zeros(self.order.len(), own.iter().map(|(_, part)| part.ncols()).sum());
+            let columns = own.iter().flat_map(|(_, part)| part.column_iter());
+            for (mut column, part) in c.column_iter_mut().zip(columns) {
+                column.iter_mut().zip(&self.order).for_each(|(value, row)| *value = part[*row]);
+            }
             for (band, rows) in self.bands.iter().enumerate() {
-                // What acts in a part of the recording is zero before and after it.
-                let acts = |row: &usize| c.row(*row).iter().any(|value| *value != 0.0);
-                let Some(first) = rows.clone().find(acts) else { continue };
-                let count = rows.clone().rev().find(acts).map_or(0, |last| last + 1 - first);
-                let [m, c] = [&self.columns.m[joint], &c].map(|all| all.rows(first, count));
-                let r = self.columns.r[joint].rows(first, count);
-                groups.push((group(joint, band), CrossMoment::of(&m, &c, &r)));
+                let c = c.rows(rows.start, rows.len());
+                let a = self.transposed[joint].columns(rows.start, rows.len()) * c;
+                let r = self.r[joint].rows(rows.start, rows.len());
+                let mut first = 0;
+                for (at, part) in &own {
+                    let width = part.ncols();
+                    let [c, a] = [(&c).columns(first, width).into_owned(), a.columns(first, width).into_owned()];
+                    first += width;
+                    // What acts in a part of the recording is zero before and after it.
+                    if c.iter().any(|value| *value != 0.0) {
+                        let sums = CrossMoment { a, c: c.tr_mul(&c), d: c.tr_mul(&r) };
+                        crosses[*at].groups.push((group(joint, band), sums));
+                    }
+                }
             }
         }
-        GroupedCross { width: rows.width, exact: rows.exact, groups }
+        crosses
     }
 }
 
@@ -170,33 +198,90 @@ impl CrossMoment {
     }
 }
 
+impl GroupedMoments {
+    /// Of the columns of a model.
+    pub fn of(moments: &Moments, evidence: &Evidence) -> GroupedMoments {
+        let count = evidence.joints() * BAND_EDGES_HZ.len();
+        let mut sums = GroupedMoments {
+            width: moments.width,
+            groups: vec![None; count],
+            r2: vec![0.0; count],
+            count: vec![0.0; count],
+        };
+        for (cell, own) in evidence.cells().iter().zip(&moments.cells) {
+            let at = group(cell.joint, cell.band);
+            sums.r2[at] += own.r2;
+            sums.count[at] += own.count as f64;
+            match &mut sums.groups[at] {
+                Some((g, b)) => {
+                    *g += &own.g;
+                    *b += &own.b;
+                }
+                empty => *empty = Some((own.g.clone(), own.b.clone())),
+            }
+        }
+        sums
+    }
+
+    /// The model with the candidate as its last columns.
+    pub fn with(&self, cross: &GroupedCross) -> GroupedMoments {
+        let (p, l) = (self.width, cross.width);
+        let mut sums = self.clone();
+        sums.width += l;
+        for (g, b) in sums.groups.iter_mut().flatten() {
+            (*g, *b) = grown(g, b, l);
+        }
+        for (at, add) in &cross.groups {
+            if let Some((g, b)) = &mut sums.groups[*at] {
+                fill(g, b, p, add);
+            }
+        }
+        sums
+    }
+
+    /// The model without some of its columns.
+    pub fn without(&self, gone: Range<usize>) -> GroupedMoments {
+        let less = |(g, b): &(DMatrix<f64>, DVector<f64>)| {
+            let g = g.clone().remove_rows(gone.start, gone.len()).remove_columns(gone.start, gone.len());
+            (g, b.clone().remove_rows(gone.start, gone.len()))
+        };
+        let groups = self.groups.iter().map(|own| own.as_ref().map(less)).collect();
+        let (r2, count) = (self.r2.clone(), self.count.clone());
+        GroupedMoments { width: self.width - gone.len(), groups, r2, count }
+    }
+}
+
+/// Sums with zeros for so many more columns.
+fn grown(g: &DMatrix<f64>, b: &DVector<f64>, by: usize) -> (DMatrix<f64>, DVector<f64>) {
+    let p = b.len();
+    let (mut more_g, mut more_b) = (DMatrix::zeros(p + by, p + by), DVector::zeros(p + by));
+    more_g.view_mut((0, 0), (p, p)).copy_from(g);
+    more_b.rows_mut(0, p).copy_from(b);
+    (more_g, more_b)
+}
+
+/// Writes a candidate's sums behind the first `p` columns.
+fn fill(g: &mut DMatrix<f64>, b: &mut DVector<f64>, p: usize, add: &CrossMoment) {
+    let l = add.d.len();
+    g.view_mut((0, p), (p, l)).copy_from(&add.a);
+    g.view_mut((p, 0), (l, p)).tr_copy_from(&add.a);
+    g.view_mut((p, p), (l, l)).copy_from(&add.c);
+    b.rows_mut(p, l).copy_from(&add.d);
+}
+
 impl Moments {
     /// The model with the candidate as its last columns.
     pub fn with(&self, cross: &Cross) -> Moments {
         let (p, l) = (self.width, cross.width);
-        let mut grown = Moments { width: p + l, cells: Vec::with_capacity(self.cells.len()) };
-        for own in &self.cells {
-            let mut b = own.b.clone().resize_vertically(p + l, 0.0);
-            b.rows_mut(p, l).fill(0.0);
-            grown.cells.push(Moment { g: own.g.clone().resize(p + l, p + l, 0.0), b, r2: own.r2, count: own.count });
-        }
-        for (index, add) in &cross.cells {
-            let cell = &mut grown.cells[*index];
-            cell.g.view_mut((0, p), (p, l)).copy_from(&add.a);
-            cell.g.view_mut((p, 0), (l, p)).copy_from(&add.a.transpose());
-            cell.g.view_mut((p, p), (l, l)).copy_from(&add.c);
-            cell.b.rows_mut(p, l).copy_from(&add.d);
-        }
-        grown
-    }
-
-    /// The model without some of its columns.
-    pub fn without(&self, gone: Range<usize>) -> Moments {
-        let less = |own: &Moment| Moment {
-            g: own.g.clone().remove_rows(gone.start, gone.len()).remove_columns(gone.start, gone.len()),
-            b: own.b.clone().remove_rows(gone.start, gone.len()),
-            ..own.clone()
+        let more = |own: &Moment| {
+            let (g, b) = grown(&own.g, &own.b, l);
+            Moment { g, b, r2: own.r2, count: own.count }
         };
-        Moments { width: self.width - gone.len(), cells: self.cells.iter().map(less).collect() }
+        let mut cells: Vec<Moment> = self.cells.iter().map(more).collect();
+        for (index, add) in &cross.cells {
+            let Moment { g, b, .. } = &mut cells[*index];
+            fill(g, b, p, add);
+        }
+        Moments { width: p + l, cells }
     }
 }

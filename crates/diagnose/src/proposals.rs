@@ -6,6 +6,8 @@
 use super::changing::WARMING_TIME_CONSTANTS_S;
 use super::found::{Progress, Watch};
 use super::library::{Candidate, is_undeclared_coupling};
+use super::moments::GroupedCross;
+use super::rows::Rows;
 use super::search;
 use super::select::Search;
 use super::span::Span;
@@ -20,6 +22,8 @@ const MAX_SHORTLISTED: usize = 16;
 /// Starts of a search for several settings where more than one of them has several start values: the likelihood has more than one maximum, and what it is
 /// largest at may be no plausible effect.
 const MAX_STARTS: usize = 3;
+/// Candidates whose columns are multiplied with the model's at once.
+const SCREENED_AT_ONCE: usize = 32;
 /// Smallest gain at the start of a search for several settings, as a share of the penalty.
 const MIN_START_GAIN_RATIO: f64 = 0.5;
 /// Share of the arms that have a coupling of two transmissions that their robot file does not declare, as prior odds: a law of another joint's motion fits
@@ -47,7 +51,7 @@ impl Scored {
     /// Torques that it adds to, counted by its columns, then its parameters, then whether few arms have it: of two that are as good the one with less is
     /// preferred.
     pub(super) fn cost(&self) -> (usize, usize, bool) {
-        (self.tried.cross.width * self.item.joints().len(), self.item.parameters(), !self.item.is_usual())
+        (self.tried.rows.width * self.item.joints().len(), self.item.parameters(), !self.item.is_usual())
     }
 
     /// Whether the gain pays more than twice for parameters and choice.
@@ -89,29 +93,33 @@ impl Search<'_> {
         let threads = self.settings.threads;
         let (library, grid) = (self.library.iter().chain(&*refined).collect::<Vec<_>>(), self.library.len());
         let quietly = OnceLock::new();
-        let quiet = || quietly.get_or_init(|| self.problem.quiet(&state.fit, &state.moments));
-        let screened = parallel(&library, threads, |item| {
-            let usable = wanted(item) && !state.items.iter().any(|own| own.alike(item));
-            if !usable {
-                return f64::NEG_INFINITY;
-            }
-            let cross = state.cross(self.evidence(), &item.rows);
+        let quiet = || quietly.get_or_init(|| self.problem.quiet(&state.fit));
+        let screen = |item: &Candidate, cross: &GroupedCross| {
             let penalty = self.penalty(item);
             // A torque gain is taken over by the masses beyond its joint, which the joints before it then have wrong.
-            let own = self.problem.gain(&state.fit, &cross, Some(&item.joints()));
+            let own = self.problem.gain(&state.fit, cross, Some(&item.joints()));
             let elsewhere = own.as_ref().is_some_and(|own| own.elsewhere > MIN_START_GAIN_RATIO * penalty);
             let (fit, gain) = match own {
-                None => (quiet(), self.problem.gain(quiet(), &cross, None)),
-                Some(_) if elsewhere => (&state.fit, self.problem.gain(&state.fit, &cross, None)),
+                None => (quiet(), self.problem.gain(quiet(), cross, None)),
+                Some(_) if elsewhere => (&state.fit, self.problem.gain(&state.fit, cross, None)),
                 own => (&state.fit, own),
             };
             gain.map_or(f64::NEG_INFINITY, |gain| {
                 let evidence = gain.evidence + 2.0 * (fit.likelihood - state.fit.likelihood);
                 item.plausibility(gain.gamma.as_slice()) * evidence - penalty
             })
+        };
+        let usable = |k: &usize| wanted(library[*k]) && !state.items.iter().any(|own| own.alike(library[*k]));
+        let mut order: Vec<usize> = (0..library.len()).filter(usable).collect();
+        let screened = parallel(&order.chunks(SCREENED_AT_ONCE).collect::<Vec<_>>(), threads, |chunk| {
+            let rows: Vec<&Rows> = chunk.iter().map(|&k| &library[k].rows).collect();
+            let crosses = state.crosses(self.evidence(), &rows);
+            chunk.iter().zip(&crosses).map(|(&k, cross)| screen(library[k], cross)).collect::<Vec<_>>()
         });
-        let mut order: Vec<usize> = (0..library.len()).filter(|&k| screened[k].is_finite()).collect();
-        order.sort_by(|&a, &b| screened[b].total_cmp(&screened[a]));
+        let mut scores = vec![f64::NEG_INFINITY; library.len()];
+        order.iter().zip(screened.concat()).for_each(|(&k, score)| scores[k] = score);
+        order.retain(|&k| scores[k].is_finite());
+        order.sort_by(|&a, &b| scores[b].total_cmp(&scores[a]));
         let short = shortlisted(order.into_iter().map(|k| (library[k], k >= grid)));
         // Those of several settings take far longer than the others: the threads share the starts, not the effects.
         let starts: Vec<&Candidate> = short.iter().flatten().copied().collect();

@@ -258,8 +258,8 @@ impl<'a> Search<'a> {
     /// The effect that no longer pays for itself, if any.
     fn weakest(&self, state: &State) -> Option<(usize, f64)> {
         let score = |item: usize| {
-            let rest = state.without(&self.problem, item);
-            2.0 * (state.fit.likelihood - rest.fit.likelihood) - self.penalty(&state.items[item])
+            let rest = state.fit_without(&self.problem, item);
+            2.0 * (state.fit.likelihood - rest.likelihood) - self.penalty(&state.items[item])
         };
         let scores = (0..state.items.len()).map(|item| (item, score(item)));
         scores.filter(|(_, score)| *score <= 0.0).min_by(|a, b| a.1.total_cmp(&b.1))

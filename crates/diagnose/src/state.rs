@@ -1,9 +1,9 @@
 //! A model under test: the base parameters and the effects taken in so far, fitted to the evidence.
 
 use super::evidence::{BAND_EDGES_HZ, Evidence};
-use super::fit::{Fit, Problem, every};
+use super::fit::{Fit, Problem};
 use super::library::Candidate;
-use super::moments::{Columns, Cross, GroupedColumns, GroupedCross, Moments};
+use super::moments::{Columns, Cross, GroupedColumns, GroupedCross, GroupedMoments, Moments};
 use super::rows::Rows;
 use nalgebra::DVector;
 use plumbline_model::term::effect::Site;
@@ -19,19 +19,19 @@ pub struct State {
     pub items: Vec<Candidate>,
     /// Columns of all, and the torques.
     pub columns: Columns,
-    /// Their sums.
-    pub moments: Moments,
     /// The fit to all folds.
     pub fit: Fit,
     grouped: OnceLock<GroupedColumns>,
+    moments: OnceLock<Moments>,
 }
 
 impl State {
     /// The base alone.
     pub fn base(problem: &Problem, columns: Columns) -> State {
         let moments = columns.moments(problem.evidence);
-        let fit = problem.fit(&moments, &every, None);
-        State { base: moments.width, items: Vec::new(), columns, moments, fit, grouped: OnceLock::new() }
+        let fit = problem.fit(GroupedMoments::of(&moments, problem.evidence), None);
+        let base = moments.width;
+        State { base, items: Vec::new(), columns, fit, grouped: OnceLock::new(), moments: moments.into() }
     }
 
     /// Columns of an effect.
@@ -66,43 +66,53 @@ impl State {
 
     /// With one more effect.
     pub fn with(&self, problem: &Problem, item: Candidate) -> State {
-        let cross = self.columns.cross(problem.evidence, &item.rows);
-        let moments = self.moments.with(&cross);
-        let fit = problem.fit(&moments, &every, Some(&self.fit.phi));
+        let fit = problem.fit_with(&self.fit, &self.cross(problem.evidence, &item.rows));
         let mut columns = self.columns.clone();
         columns.push(&item.rows);
         let mut items = self.items.clone();
         items.push(item);
-        State { base: self.base, items, columns, moments, fit, grouped: OnceLock::new() }
+        State { base: self.base, items, columns, fit, grouped: OnceLock::new(), moments: OnceLock::new() }
     }
 
     /// Without one effect.
     pub fn without(&self, problem: &Problem, item: usize) -> State {
-        let gone = self.range(item);
-        let moments = self.moments.without(gone.clone());
-        let fit = problem.fit(&moments, &every, Some(&self.fit.phi));
+        let columns = self.columns.without(self.range(item));
+        let fit = self.fit_without(problem, item);
         let mut items = self.items.clone();
         items.remove(item);
-        let columns = self.columns.without(gone);
-        State { base: self.base, items, columns, moments, fit, grouped: OnceLock::new() }
+        State { base: self.base, items, columns, fit, grouped: OnceLock::new(), moments: OnceLock::new() }
+    }
+
+    /// The fit without one effect.
+    pub fn fit_without(&self, problem: &Problem, item: usize) -> Fit {
+        problem.fit_without(&self.fit, self.range(item))
+    }
+
+    /// The sums of the columns, cell by cell: tens of megabytes where a motion has many folds.
+    pub fn moments(&self, evidence: &Evidence) -> &Moments {
+        self.moments.get_or_init(|| self.columns.moments(evidence))
     }
 
     /// The sums of a candidate with all columns, all folds together.
     pub fn cross(&self, evidence: &Evidence, rows: &Rows) -> GroupedCross {
-        self.grouped.get_or_init(|| GroupedColumns::of(&self.columns, evidence)).cross(rows)
+        let mut crosses = self.crosses(evidence, &[rows]);
+        crosses.swap_remove(0)
+    }
+
+    /// The same of several, which is quicker than one by one.
+    pub fn crosses(&self, evidence: &Evidence, candidates: &[&Rows]) -> Vec<GroupedCross> {
+        self.grouped.get_or_init(|| GroupedColumns::of(&self.columns, evidence)).cross(candidates)
     }
 
     /// Fits state and candidate together until the weights converge; `None` when the candidate is not identifiable.
     pub fn try_in(&self, problem: &Problem, item: &Candidate) -> Option<Tried> {
-        let cross = self.columns.cross(problem.evidence, &item.rows);
-        let grouped = self.cross(problem.evidence, &item.rows);
-        let quiet = || problem.gain(&problem.quiet(&self.fit, &self.moments), &grouped, None);
-        let gain = problem.gain(&self.fit, &grouped, None).or_else(quiet)?;
-        let moments = self.moments.with(&cross);
-        let fit = problem.fit(&moments, &every, Some(&self.fit.phi));
+        let cross = self.cross(problem.evidence, &item.rows);
+        let quiet = || problem.gain(&problem.quiet(&self.fit), &cross, None);
+        let gain = problem.gain(&self.fit, &cross, None).or_else(quiet)?;
+        let fit = problem.fit_with(&self.fit, &cross);
         let evidence = 2.0 * (fit.likelihood - self.fit.likelihood);
-        let held = problem.prior.is_some();
-        Some(Tried { cross, fit, evidence, independence: gain.independence, held })
+        let (rows, held) = (item.rows.clone(), problem.prior.is_some());
+        Some(Tried { rows, fit, evidence, independence: gain.independence, held, cross: OnceLock::new() })
     }
 
     /// Residual torque of a joint, divided by its noise.
@@ -139,11 +149,11 @@ pub fn unmodelled_below(evidence: &Evidence, joint: usize, rows: &DVector<f64>, 
     (mean_square_below(evidence, joint, rows, bands) - floor * floor).max(0.0)
 }
 
-/// A candidate tried in a state. The sums of both, tens of megabytes where a motion has many folds, are [`Tried::moments`].
+/// A candidate tried in a state.
 #[derive(Clone, Debug)]
 pub struct Tried {
-    /// Its sums with the state's columns.
-    pub cross: Cross,
+    /// Its columns.
+    pub rows: Rows,
     /// Fit of both.
     pub fit: Fit,
     /// Twice the gain in log likelihood.
@@ -152,11 +162,17 @@ pub struct Tried {
     pub independence: f64,
     /// Whether the other parameters have a prior. Then torque that they represent at the prior's cost still counts for the candidate.
     pub held: bool,
+    cross: OnceLock<Cross>,
 }
 
 impl Tried {
-    /// Sums of the state that it was tried in and of the candidate.
-    pub fn moments(&self, state: &State) -> Moments {
-        state.moments.with(&self.cross)
+    /// Its sums with the columns of the state that it was tried in, cell by cell.
+    pub fn cross(&self, evidence: &Evidence, state: &State) -> &Cross {
+        self.cross.get_or_init(|| state.columns.cross(evidence, &self.rows))
+    }
+
+    /// Sums of both.
+    pub fn moments(&self, evidence: &Evidence, state: &State) -> Moments {
+        state.moments(evidence).with(self.cross(evidence, state))
     }
 }

@@ -106,7 +106,7 @@ impl<'a> Unseen<'a> {
 
     /// [`Unseen::update`] of a state that was fitted to the problem's runs, with this over-dispersion.
     pub fn update_of(&self, problem: &Problem, state: &State, phi: &[f64]) -> (DVector<f64>, f64) {
-        let information = problem.information(&state.moments, phi);
+        let information = problem.information(state.moments(problem.evidence), phi);
         self.update(Known { theta: &state.fit.theta, information: &information, phi })
     }
 

@@ -39,7 +39,7 @@ impl<'a> Deciding<'a> {
         let Ok(term) = one.item.spec.build(search.operating_point) else { return false };
         let with = unseen.with(&self.evidence.columns(&*term, one.item.span));
         let (before, after, phi) = (&state.fit.theta, &one.tried.fit.theta, &one.tried.fit.phi);
-        let information = search.problem.information(&one.tried.moments(state), phi);
+        let information = search.problem.information(&one.tried.moments(search.evidence(), state), phi);
         let expected = with.update(Known { theta: after, information: &information, phi }).1;
         if unseen.update_of(&search.problem, state, phi).1 - expected < one.penalty {
             return false;

@@ -120,7 +120,7 @@ impl Residual {
 /// Mean square of a joint's residual over that of its noise, F; nothing without repeats.
 pub fn lack_of_fit(evidence: &Evidence, state: &State, joint: usize) -> Option<f64> {
     let groups = (0..BAND_EDGES_HZ.len()).map(|band| group(joint, band));
-    let sums = groups.fold((0.0, 0.0), |sum, at| (sum.0 + state.fit.rss[at], sum.1 + state.fit.count[at]));
+    let sums = groups.fold((0.0, 0.0), |sum, at| (sum.0 + state.fit.rss[at], sum.1 + state.fit.sums.count[at]));
     evidence.repeats().then(|| sums.0 / f64::max(sums.1, 1.0))
 }
 

@@ -63,7 +63,7 @@ fn the_share_of_a_fold_is_that_of_its_weighted_torque() {
             energy[cell.fold] += square / phi[group(cell.joint, cell.band)];
         }
         let total: f64 = energy.iter().sum();
-        let own = energies(&search.problem, base, &tried, &tried.moments(base));
+        let own = energies(&search.problem, base, &tried, &tried.moments(search.problem.evidence, base));
         for (own, energy) in own.iter().zip(energy) {
             assert!((own - energy).abs() < 1e-9 * total, "{own} {energy}");
         }
@@ -72,7 +72,7 @@ fn the_share_of_a_fold_is_that_of_its_weighted_torque() {
 
 /// Share of each fold in the energy of the torque that a candidate changes.
 fn shares(search: &Search, base: &State, tried: &Tried) -> Vec<f64> {
-    let energies = energies(&search.problem, base, tried, &tried.moments(base));
+    let energies = energies(&search.problem, base, tried, &tried.moments(search.problem.evidence, base));
     let total: f64 = energies.iter().sum();
     energies.iter().map(|energy| energy / total).collect()
 }
@@ -93,7 +93,7 @@ fn a_fold_is_asked_from_three_to_eighty_per_cent_of_the_energy() {
             let found = folds(&search.problem, base, &tried);
             assert_eq!(found.informative, asked, "{shares:?}");
             // Beside them those with five standard deviations of torque, however small their share.
-            let energies = energies(&search.problem, base, &tried, &tried.moments(base));
+            let energies = energies(&search.problem, base, &tried, &tried.moments(search.problem.evidence, base));
             let shows = |(share, energy): (&f64, &f64)| (0.03..=0.8).contains(share) || *energy >= 25.0;
             assert_eq!(found.showing, shares.iter().zip(&energies).filter(|one| shows(*one)).count(), "{energies:?}");
             more += found.showing - found.informative;
@@ -117,7 +117,7 @@ fn the_only_run_with_an_effect_and_the_only_one_without_it_are_not_asked() {
             let tried = base.try_in(&search.problem, &item).unwrap();
             let shares = shares(search, base, &tried);
             assert!(shares.iter().all(|share| (0.03..=0.8).contains(share)), "{shares:?}");
-            assert_eq!(alone(&search.problem, &tried), alone_folds);
+            assert_eq!(alone(&search.problem, base, &tried), alone_folds);
             assert_eq!(folds(&search.problem, base, &tried).informative, asked);
         });
     }
@@ -126,7 +126,7 @@ fn the_only_run_with_an_effect_and_the_only_one_without_it_are_not_asked() {
     of_joint_2(&recorded, &torque_offset::FAMILY, |search, base, item| {
         let alone = |from: f64, to: f64| {
             let item = item.in_folds(search.problem.evidence, Span { to, ..Span::since(from) }).unwrap();
-            alone(&search.problem, &base.try_in(&search.problem, &item).unwrap())
+            alone(&search.problem, base, &base.try_in(&search.problem, &item).unwrap())
         };
         assert_eq!(alone(starts[2], starts[3]), [2]);
         assert_eq!(alone(starts[3], f64::INFINITY), [3]);
@@ -212,7 +212,9 @@ fn with_a_prior_only_the_torque_of_the_candidate_itself_counts() {
         // Folds that are left out are predicted with the same parameters, with the candidate and without it.
         let tested = folds(&problem, base, &tried);
         let (mut sums, mut low, mut weighted) = ([[0.0; 2]; 2], [[0.0; 2]; 2], [[0.0; 2]; 2]);
-        for (fold, theta) in problem.left_out(&tried.moments(base), &tried.fit.phi).iter().enumerate() {
+        for (fold, theta) in
+            problem.left_out(&tried.moments(search.problem.evidence, base), &tried.fit.phi).iter().enumerate()
+        {
             for cell in evidence.cells().iter().filter(|cell| cell.fold == fold) {
                 let rows = |with: bool| {
                     let mut theta = theta.clone();

@@ -320,8 +320,11 @@ pub(super) fn change(search: &Search, state: &State, item: usize, found: Found) 
     let candidate = &state.items[item];
     let columns = candidate.spec.build(search.operating_point).map(|term| term.columns()).unwrap_or_default();
     let own = |of: &DMatrix<f64>| of.view((range.start, range.start), (range.len(), range.len())).into_owned();
-    let covariance = at_least(own(&state.fit.h), &own(&search.problem.spread_of_folds(&state.moments, &state.fit)));
-    let unknown = unknown(&search.problem.information(&state.moments, &state.fit.phi), &range);
+    let covariance = at_least(
+        own(&state.fit.h),
+        &own(&search.problem.spread_of_folds(state.moments(search.evidence()), &state.fit)),
+    );
+    let unknown = unknown(&search.problem.information(state.moments(search.evidence()), &state.fit.phi), &range);
     let parameter = |(k, column): (usize, Column)| {
         let known = unknown.row(k).norm_squared() <= UNDETERMINED_RATIO;
         let std = known.then(|| covariance[(k, k)].max(0.0).sqrt());
@@ -421,7 +424,7 @@ mod tests {
                 let state = base.with(&search.problem, item);
                 let change = change(search, &state, 0, found);
                 let own = state.range(0).start;
-                let estimates = search.problem.left_out(&state.moments, &state.fit.weights);
+                let estimates = search.problem.left_out(state.moments(search.evidence()), &state.fit.weights);
                 let mean = estimates.iter().map(|theta| theta[own]).sum::<f64>() / 4.0;
                 let jackknife = estimates.iter().map(|theta| (theta[own] - mean).powi(2)).sum::<f64>() * 0.75;
                 let std = change.parameters[0].std.unwrap();

@@ -3,6 +3,7 @@
 use super::*;
 use crate::evidence::BAND_EDGES_HZ;
 use crate::fit::Problem;
+use crate::moments::GroupedMoments;
 use crate::synthetic::{At, FLOOR, Recorded, once, recorded, truth};
 use plumbline_identify::solve::identify;
 use std::f64::consts::TAU;
@@ -45,7 +46,7 @@ fn an_update_is_the_fit_to_all_runs_and_its_cost_what_their_residual_grows_by() 
         let evidence = Evidence::with_noise_of(structure.chain(), chosen, &trials, 16.0);
         let problem = Problem { evidence: &evidence, prior: None };
         let moments = columns_of(&evidence, structure, chosen).moments(&evidence);
-        let fit = problem.weighted(&moments, &|_| true, &phi);
+        let fit = problem.weighted(GroupedMoments::of(&moments, &evidence), &phi);
         let square: f64 = fit.rss.iter().zip(&phi).map(|(rss, phi)| rss / phi).sum();
         (fit.theta.clone(), problem.information(&moments, &phi), square)
     };

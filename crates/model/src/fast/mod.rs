@@ -10,7 +10,7 @@ mod motion;
 mod regressor;
 pub mod sign;
 mod torque;
-mod trig;
+pub(crate) mod trig;
 
 use fearless_simd::{Level, Simd};
 use plumbline_core::JointVec;

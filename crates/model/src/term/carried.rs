@@ -3,7 +3,7 @@
 use super::Sample;
 use super::friction::SHARPNESS;
 use super::load::OperatingPoint;
-use super::one_row::smooth_sign;
+use crate::fast::trig::tanh_of_one;
 use plumbline_core::{JointVec, MAX_JOINTS};
 
 /// `fv_j dq_j + fc_j tanh(100 dq_j)` of every joint with the coefficients of the operating point; 0 where it has none.
@@ -41,7 +41,7 @@ impl CarriedFriction {
 
     /// The same, and its slope over the velocity \[Nms/rad\].
     pub fn with_slope(&self, dq: f64, joint: usize) -> (f64, f64) {
-        let sign = smooth_sign(dq);
+        let sign = tanh_of_one(SHARPNESS * dq);
         let both = |[fv, fc]: &[f64; 2]| (fv * dq + fc * sign, fv + fc * SHARPNESS * (1.0 - sign * sign));
         self.parameters.get(joint).map_or((0.0, 0.0), both)
     }

@@ -24,7 +24,7 @@ pub struct Load {
 /// A [`Load`] along a motion.
 #[derive(Clone, Debug)]
 struct Known {
-    motion: Motion,
+    motion: Arc<Motion>,
     /// Its torque, N x n \[Nm\].
     tau: DMatrix<f64>,
     /// Its slopes over the position of each joint, once they are asked for.
@@ -91,7 +91,9 @@ impl Load {
     }
 
     fn known(&self, motion: &Motion) -> Option<&Known> {
-        self.known.iter().find(|known| known.motion == *motion)
+        // Whole motions are compared only where none is the same object.
+        let same = self.known.iter().find(|known| std::ptr::eq(&*known.motion, motion));
+        same.or_else(|| self.known.iter().find(|known| *known.motion == *motion))
     }
 }
 
@@ -110,9 +112,9 @@ pub struct OperatingPoint {
 
 impl OperatingPoint {
     /// With the load along these motions computed once, for a search that evaluates many columns along them.
-    pub fn known_along<'a>(self, motions: impl Iterator<Item = &'a Motion>) -> OperatingPoint {
-        let known = |motion: &Motion| Known {
-            motion: motion.clone(),
+    pub fn known_along<'a>(self, motions: impl Iterator<Item = &'a Arc<Motion>>) -> OperatingPoint {
+        let known = |motion: &Arc<Motion>| Known {
+            motion: Arc::clone(motion),
             tau: self.load.along(motion).into_owned(),
             slopes: vec![OnceLock::new(); motion.joints()],
         };

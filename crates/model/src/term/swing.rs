@@ -6,6 +6,7 @@ use super::family::{Family, Scale, Setting, Site, joint};
 use super::load::OperatingPoint;
 use super::position_error::PositionError;
 use super::{Column, Expected, Motion, Sample, Term};
+use crate::fast::trig::tanh_of_one;
 use plumbline_core::JointVec;
 use std::sync::Arc;
 
@@ -46,6 +47,8 @@ const MAX_STEPS: u8 = 20;
 const MAX_ITERATIONS: u8 = 50;
 /// Tolerance of the torque of one step \[Nm\].
 const TOLERANCE_NM: f64 = 1e-9;
+/// A last step of Newton's method that is shorter than this leaves no more than its square over the width of a gap, less than the tolerance \[Nm\].
+const LAST_STEP_NM: f64 = 3e-6;
 /// Largest twist \[rad\], a hundred times that of real gears: on a soft one a body that no real one is would fall without end.
 const MAX_TWIST_RAD: f64 = 1.0;
 /// Decay time of the oscillation per unit of quality factor \[s\].
@@ -66,7 +69,7 @@ impl Gear {
     fn under(self, tau: f64) -> (f64, f64) {
         let (theta, slope) = match self {
             Gear::Gap { gap, width, compliance } => {
-                let flank = (tau / width).tanh();
+                let flank = tanh_of_one(tau / width);
                 (gap * flank + compliance * tau, gap / width * (1.0 - flank * flank) + compliance)
             }
             Gear::Spring(compliance) => (compliance * tau, compliance),
@@ -108,6 +111,10 @@ pub(super) struct Swing {
     rise: f64,
     /// `K_i theta + V_i dtheta` \[Nm\].
     slow: f64,
+    /// Slope of the twist over the torque \[rad/Nm\].
+    bend: f64,
+    /// Friction behind the gear \[Nm\].
+    rubbing: f64,
     /// Rigid-body torque and velocity at the sample before.
     before: Option<[f64; 2]>,
 }
@@ -144,6 +151,8 @@ impl Swing {
                 tau: 0.0,
                 rise: 0.0,
                 slow: 0.0,
+                bend: gear.under(0.0).1,
+                rubbing: 0.0,
                 before: None,
             }
         })
@@ -152,23 +161,25 @@ impl Swing {
     /// One step: `[theta, dtheta, ddtheta]` at the rigid-body torque `load` \[Nm\] and the velocity `dq`.
     fn step(&mut self, load: f64, dq: f64, inertia: f64, dt: f64) -> [f64; 3] {
         // At the torque of the step before: the left side below goes on to rise with a slope of at least one.
-        let damping = (inertia / self.gear.under(self.tau).1).sqrt() / self.quality;
+        let damping = (inertia / self.bend).sqrt() / self.quality;
         let [first, second] = self.past.slopes(dt);
-        // Left side minus right side, its slope over tau, and the twist.
+        // Left side minus right side, its slope over tau, the twist with its slope, and the friction with its own.
         let at = |tau: f64| {
             let (theta, bend) = self.gear.under(tau);
             let [dtheta, ddtheta] = self.past.with(theta, dt);
             let (friction, drag) = self.friction.with_slope(dq - dtheta, self.error.joint);
             let wrong = tau + self.slow + inertia * ddtheta - load - friction + damping * dtheta;
             let slope = 1.0 + bend * (inertia * second + (drag + damping) * first);
-            (wrong, slope, [theta, dtheta, ddtheta])
+            (wrong, slope, [theta, bend], [friction, drag])
         };
         let (mut low, mut high) = (f64::NEG_INFINITY, f64::INFINITY);
         let mut tau = self.tau + self.rise;
         let mut now = at(tau);
         let mut went = f64::INFINITY;
+        // What is left to go along the slopes.
+        let mut rest = 0.0;
         for _ in 0..MAX_ITERATIONS {
-            let (wrong, slope, _) = now;
+            let (wrong, slope, ..) = now;
             if wrong.abs() < TOLERANCE_NM {
                 break;
             }
@@ -181,14 +192,20 @@ impl Swing {
             // On a flank Newton's step can be far too long, and between the flanks repeatedly too short.
             let newton = tau - wrong / slope;
             let good = low < newton && newton < high && (newton - tau).abs() < 0.5 * went;
+            if good && (newton - tau).abs() < LAST_STEP_NM {
+                rest = newton - tau;
+                break;
+            }
             let next = if good { newton } else { 0.5 * (low + high) };
             (went, tau) = ((next - tau).abs(), next);
             now = at(tau);
         }
-        let (.., theta) = now;
-        (self.tau, self.rise) = (tau, tau - self.tau);
-        self.past.derivatives(theta[0], dt);
-        theta
+        let (.., [theta, bend], [friction, drag]) = now;
+        let theta = theta + bend * rest;
+        (self.tau, self.rise, self.bend) = (tau + rest, tau + rest - self.tau, bend);
+        self.rubbing = friction - drag * first * bend * rest;
+        let [dtheta, ddtheta] = self.past.derivatives(theta, dt);
+        [theta, dtheta, ddtheta]
     }
 }
 
@@ -212,8 +229,6 @@ impl Law for Swing {
         let load = own - self.rotor * sample.ddq[joint];
         let [load_before, dq_before] = self.before.replace([load, dq]).unwrap_or([load, dq]);
         let steps = ((clock.dt / MAX_STEP_S).ceil() as u8).clamp(1, MAX_STEPS);
-        let friction = self.friction;
-        let rub = |dq: f64, dtheta: f64| friction.at(dq - dtheta, joint) - friction.at(dq, joint);
         let mut theta = [0.0; 3];
         let (mut mean, mut rubbed) = ([0.0; 3], 0.0);
         for step in 1..=steps {
@@ -222,11 +237,13 @@ impl Law for Swing {
             let (load, dq) = (between(load_before, load), between(dq_before, dq));
             // With a negative identified inertia the torque would diverge.
             theta = self.step(load, dq, inertia.max(0.0), clock.dt / f64::from(steps));
-            mean.iter_mut().zip(theta).for_each(|(sum, value)| *sum += value / f64::from(steps));
-            rubbed += rub(dq, theta[1]) / f64::from(steps);
+            if clock.means {
+                mean.iter_mut().zip(theta).for_each(|(sum, value)| *sum += value / f64::from(steps));
+                rubbed += (self.rubbing - self.friction.at(dq, joint)) / f64::from(steps);
+            }
         }
         if !clock.means {
-            (mean, rubbed) = (theta, rub(dq, theta[1]));
+            (mean, rubbed) = (theta, self.rubbing - self.friction.at(dq, joint));
         }
         *column = self.error.signature(sample, clock.index, mean.map(|value| -value / size));
         let Some(own) = column.get_mut(joint) else { return };

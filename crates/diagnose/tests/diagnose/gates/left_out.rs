@@ -92,7 +92,7 @@ fn said(recorded: &Recorded, repeats: bool) {
                 least(search, state, phi, |_| true).1 - least(search, state, phi, |other| other != fold).1
             };
             for state in [base, &after] {
-                let found = search.problem.surprise(&state.moments, phi);
+                let found = search.problem.surprise(state.moments(search.problem.evidence), phi);
                 for (fold, found) in found.into_iter().enumerate() {
                     let expected = surprise(state, fold);
                     // A difference of sums of squares of all torques.
