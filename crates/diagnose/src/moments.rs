@@ -138,8 +138,8 @@ pub struct GroupedColumns {
     transposed: Vec<DMatrix<f64>>,
     /// `r` of each joint.
     r: Vec<DVector<f64>>,
-    /// Rows of a joint, band by band.
-    order: Vec<usize>,
+    /// Rows of a joint, band by band, in pieces.
+    pieces: Vec<Range<usize>>,
     /// The rows of each band in that order.
     bands: Vec<Range<usize>>,
 }
@@ -147,16 +147,19 @@ pub struct GroupedColumns {
 impl GroupedColumns {
     /// Of columns.
     pub fn of(columns: &Columns, evidence: &Evidence) -> GroupedColumns {
-        let (mut order, mut bands) = (Vec::new(), Vec::new());
+        let (mut pieces, mut bands, mut rows) = (Vec::new(), Vec::new(), 0);
         for band in 0..BAND_EDGES_HZ.len() {
-            let first = order.len();
-            let own = evidence.cells().iter().filter(|cell| cell.joint == 0 && cell.band == band);
-            order.extend(own.flat_map(|cell| cell.rows.clone()));
-            bands.push(first..order.len());
+            let first = rows;
+            for cell in evidence.cells().iter().filter(|cell| cell.joint == 0 && cell.band == band) {
+                pieces.push(cell.rows.clone());
+                rows += cell.rows.len();
+            }
+            bands.push(first..rows);
         }
+        let order: Vec<usize> = pieces.iter().cloned().flatten().collect();
         let transposed = columns.m.iter().map(|m| m.select_rows(&order).transpose()).collect();
         let r = columns.r.iter().map(|r| r.select_rows(&order)).collect();
-        GroupedColumns { transposed, r, order, bands }
+        GroupedColumns { transposed, r, pieces, bands }
     }
 
     /// The sums of candidates with them, in their order.
@@ -166,11 +169,12 @@ impl GroupedColumns {
         for joint in 0..self.transposed.len() {
             let own: Vec<_> =
                 candidates.iter().enumerate().filter_map(|(at, rows)| Some((at, rows.of(joint)?))).collect();
-            let mut c = DMatrix::zeros(self.order.len(), own.iter().map(|(_, part)| part.ncols()).sum());
-            let columns = own.iter().flat_map(|(_, part)| part.column_iter());
-            for (mut column, part) in c.column_iter_mut().zip(columns) {
-                column.iter_mut().zip(&self.order).for_each(|(value, row)| *value = part[*row]);
+            let columns: usize = own.iter().map(|(_, part)| part.ncols()).sum();
+            let mut c = Vec::with_capacity(columns * self.r[joint].len());
+            for part in own.iter().flat_map(|(_, part)| part.as_slice().chunks_exact(part.nrows())) {
+                self.pieces.iter().for_each(|rows| c.extend_from_slice(&part[rows.clone()]));
             }
+            let c = DMatrix::from_vec(self.r[joint].len(), columns, c);
             for (band, rows) in self.bands.iter().enumerate() {
                 let c = c.rows(rows.start, rows.len());
                 let a = self.transposed[joint].columns(rows.start, rows.len()) * c;
@@ -178,7 +182,7 @@ impl GroupedColumns {
                 let mut first = 0;
                 for (at, part) in &own {
                     let width = part.ncols();
-                    let [c, a] = [(&c).columns(first, width).into_owned(), a.columns(first, width).into_owned()];
+                    let (c, a) = (c.columns(first, width), a.columns(first, width).into_owned());
                     first += width;
                     // What acts in a part of the recording is zero before and after it.
                     if c.iter().any(|value| *value != 0.0) {

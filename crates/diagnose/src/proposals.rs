@@ -63,6 +63,15 @@ impl Scored {
 impl Search<'_> {
     /// What a candidate's parameters and its choice cost.
     pub(super) fn penalty(&self, item: &Candidate) -> f64 {
+        self.penalty_among(self.columns(), item)
+    }
+
+    /// Columns of the library, N.
+    fn columns(&self) -> usize {
+        self.library.iter().map(|one| one.rows.width).sum()
+    }
+
+    fn penalty_among(&self, columns: usize, item: &Candidate) -> f64 {
         let rows = self.evidence().per_joint() as f64;
         let parameters = item.parameters() as f64 * rows.ln();
         // What the deviations show has been chosen there.
@@ -70,7 +79,6 @@ impl Search<'_> {
         if self.came.iter().any(came) {
             return parameters;
         }
-        let columns: usize = self.library.iter().map(|one| one.rows.width).sum();
         let undeclared = |family: &Family| is_undeclared_coupling(family, item.spec.site, self.operating_point);
         let rare = if item.spec.family().is_ok_and(undeclared) { UNDECLARED_COUPLINGS } else { 1.0 };
         parameters + 2.0 * (columns.max(2) as f64 / rare).ln()
@@ -94,8 +102,9 @@ impl Search<'_> {
         let (library, grid) = (self.library.iter().chain(&*refined).collect::<Vec<_>>(), self.library.len());
         let quietly = OnceLock::new();
         let quiet = || quietly.get_or_init(|| self.problem.quiet(&state.fit));
+        let columns = self.columns();
         let screen = |item: &Candidate, cross: &GroupedCross| {
-            let penalty = self.penalty(item);
+            let penalty = self.penalty_among(columns, item);
             // A torque gain is taken over by the masses beyond its joint, which the joints before it then have wrong.
             let own = self.problem.gain(&state.fit, cross, Some(&item.joints()));
             let elsewhere = own.as_ref().is_some_and(|own| own.elsewhere > MIN_START_GAIN_RATIO * penalty);

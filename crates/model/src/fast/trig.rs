@@ -114,7 +114,7 @@ pub fn tanh<S: Simd>(simd: S, x: f64x8<S>) -> f64x8<S> {
 
 /// Hyperbolic tangent of one number, within `5e-16`: a third of the time of the standard library's, which is as accurate near zero as elsewhere.
 pub fn tanh_of_one(x: f64) -> f64 {
-    1.0 - 2.0 / ((2.0 * x).exp() + 1.0)
+    if x.abs() > SATURATED { x.signum() } else { 1.0 - 2.0 / ((2.0 * x).exp() + 1.0) }
 }
 
 /// `1 / n! + r / (n + 1)!`. A function, since code of the vector level has to be inlined and a closure has no inline attribute.
