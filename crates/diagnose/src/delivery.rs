@@ -177,10 +177,11 @@ impl Delivery<'_> {
 
     /// Errors of each joint on the runs that decide, without each of these effects in turn.
     fn errors_without(&self, selected: &Selected, kept: &[bool], candidates: &[usize]) -> Vec<(usize, Vec<f64>)> {
+        let Ok(weights) = self.weights(&selected.state) else { return Vec::new() };
         let errors = |&index: &usize| {
             let mut fewer = kept.to_vec();
             fewer[index] = false;
-            let without = self.extended(&selected.state, &fewer).ok()?;
+            let without = self.weighted(&selected.state, &fewer, weights.as_deref()).ok()?;
             Some((index, self.compared(&without, self.input.veto)?.after.validate_rms))
         };
         parallel(candidates, self.settings.threads, errors).into_iter().flatten().collect()
@@ -223,22 +224,33 @@ impl Delivery<'_> {
         errors::compare(&pairs, self.settings.judged_by)
     }
 
-    /// Standard deviation of each joint's residual under the model that the search starts from.
+    /// Standard deviation of each joint's residual under the model that the search starts from, where the noise is not known; `None` where it is, or another
+    /// estimator is asked for.
     ///
     /// The weights of the joints stay as they are there: a joint that an effect repairs would weigh more otherwise, and the parameters that
     /// it shares with the others would follow what it still lacks.
-    fn weights(&self, beta: &[f64]) -> Result<Vec<f64>, EstimateError> {
-        let specs: Vec<Spec> = self.seeds.iter().map(|seed| seed.spec.clone()).collect();
-        let terms =
-            effect::assemble(&specs, &self.input.structure.operating_point(beta)).ok().filter(|_| !specs.is_empty());
-        match terms.and_then(|terms| self.input.structure.clone().with(terms).ok()) {
-            Some(structure) => Ok(self.equations.extended(structure)?.identify(self.input.options)?.sigma),
-            None => Ok(self.before.sigma.clone()),
+    fn weights(&self, state: &State) -> Result<Option<Vec<f64>>, EstimateError> {
+        let Delivery { input, equations, seeds, .. } = *self;
+        let known = equations.experiments().iter().all(|experiment| experiment.scatter.is_some());
+        if input.options.estimator != Estimator::Wls || known {
+            return Ok(None);
         }
+        let specs: Vec<Spec> = seeds.iter().map(|seed| seed.spec.clone()).collect();
+        let operating_point = input.structure.operating_point(state.fit.theta.as_slice());
+        let terms = effect::assemble(&specs, &operating_point).ok().filter(|_| !specs.is_empty());
+        Ok(Some(match terms.and_then(|terms| input.structure.clone().with(terms).ok()) {
+            Some(structure) => equations.extended(structure)?.identify(input.options)?.sigma,
+            None => self.before.sigma.clone(),
+        }))
     }
 
     /// Identified as a whole.
     fn extended(&self, state: &State, kept: &[bool]) -> Result<Fitted, EstimateError> {
+        self.weighted(state, kept, self.weights(state)?.as_deref())
+    }
+
+    /// The same with these [weights](Self::weights).
+    fn weighted(&self, state: &State, kept: &[bool], weights: Option<&[f64]>) -> Result<Fitted, EstimateError> {
         let Delivery { input, equations, before, .. } = *self;
         let experiments = equations.experiments();
         let plain = || Fitted { structure: input.structure.clone(), identification: before.clone() };
@@ -253,9 +265,6 @@ impl Delivery<'_> {
         }
         let mut beta = state.fit.theta.as_slice().to_vec();
         let mut fitted = plain();
-        let known = experiments.iter().all(|experiment| experiment.scatter.is_some());
-        let own_weights = input.options.estimator == Estimator::Wls && !known;
-        let sigma = own_weights.then(|| self.weights(&beta)).transpose()?;
         // Once more at the operating point just found.
         for _ in 0..2 {
             let operating_point = input.structure.operating_point(&beta);
@@ -264,7 +273,7 @@ impl Delivery<'_> {
                 return Ok(plain());
             };
             let equations = equations.extended(structure)?;
-            let identification = match &sigma {
+            let identification = match weights {
                 Some(sigma) => equations.identify_weighted(sigma)?,
                 None => equations.identify(input.options)?,
             };

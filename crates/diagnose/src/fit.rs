@@ -12,7 +12,7 @@
 use super::evidence::{BAND_EDGES_HZ, Evidence, LOW_BANDS};
 use super::moments::{GroupedCross, GroupedMoments, Moments};
 use nalgebra::{DMatrix, DVector};
-use plumbline_core::symmetric_eigen;
+use plumbline_core::{parallel, symmetric_eigen, threads};
 use std::ops::Range;
 
 /// Directions of the equilibrated normal equations below this share of the largest are treated as undetermined.
@@ -258,7 +258,7 @@ impl Problem<'_> {
     pub fn left_out(&self, moments: &Moments, phi: &[f64]) -> Vec<DVector<f64>> {
         let folds = self.of_folds(moments, phi);
         let (g, b, _) = self.of_all(&folds, moments.width);
-        folds.iter().map(|(own_g, own_b, _)| inverse(&(&g - own_g)) * (&b - own_b)).collect()
+        parallel(&folds, threads(), |(own_g, own_b, _)| inverse(&(&g - own_g)) * (&b - own_b))
     }
 
     /// Covariance of a fit's parameters by how the folds disagree about them, zero where fewer than three tell it: `F / (F - 1) sum_f e_f e_f'` with
@@ -294,7 +294,8 @@ impl Problem<'_> {
             r2 - 2.0 * theta.dot(b) + (g * &theta).dot(&theta)
         };
         let all = least(&g, &b, r2);
-        folds.iter().map(|(own_g, own_b, own_r2)| all - least(&(&g - own_g), &(&b - own_b), r2 - own_r2)).collect()
+        let surprise = |(own_g, own_b, own_r2): &(_, _, _)| all - least(&(&g - own_g), &(&b - own_b), r2 - own_r2);
+        parallel(&folds, threads(), surprise)
     }
 
     /// The weighted normal equations of all folds, with what the prior adds: the inverse of a fit's `h` where they have full rank.
