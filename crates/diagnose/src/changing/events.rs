@@ -27,7 +27,7 @@ impl Events {
         let x = transient::robust(record, left, level);
         let rest = record.centred_all(left.clone());
         let periods = record.periods() as f64;
-        let noise = Noise { record, rest: &rest, ratio: periods / (periods - 1.0) };
+        let noise = Noise { record, rest: &rest, rows: 0..rest.nrows(), ratio: periods / (periods - 1.0) };
         let strong = match record.periods() < LEAST_PERIODS {
             true => Vec::new(),
             false => transient::events(&x, record.dt, transient::MIN_ENERGY_DEVIATIONS),

@@ -20,6 +20,8 @@ const MAX_OTHERS_RATIO: f64 = 0.5;
 
 /// Smallest difference of a contact's score to that of what is no contact: what the model lacks is no noise, and reaches 24.
 const MIN_GAP: f64 = 30.0;
+/// Smallest share of an event in which another period counts, to be held against it.
+const MIN_COMPARABLE_RATIO: f64 = 0.25;
 /// Length of the window of the low-pass behind which contacts are sought \[s\]: its gain is a half at 5 Hz.
 const SOUGHT_S: f64 = 0.2;
 /// Length of the window of the low-pass behind which they are fitted \[s\]: as long as two knots are apart.
@@ -67,7 +69,7 @@ fn contacts(
     let x = &contact::visible(&record, &record.smoothed(&record.tau, SOUGHT_S));
     record.tau = record.smoothed(&record.tau, FITTED_S);
     let record = record;
-    let noise = Noise { record: &record, rest: &record.tau, ratio: 1.0 };
+    let noise = Noise { record: &record, rest: &record.tau, rows: 0..record.tau.nrows(), ratio: 1.0 };
     let scale = transient::scales(x);
     let energy = |event: &Event| transient::energy(x, &scale, event.first..event.last);
     // What comes again in another period is what the model lacks.
@@ -79,11 +81,22 @@ fn contacts(
         };
         (1..record.periods()).any(in_period)
     };
+    // What the model lacks beside it may look like a contact, or make one of noise: where two periods count, they have to differ by one, too.
+    let apart = difference(experiment);
+    let differs = |event: &Event| {
+        let Some(apart) = &apart else { return true };
+        let share = apart.counted(event.first..event.last) as f64 / (event.last - event.first) as f64;
+        // The other period has the same once more.
+        let period = event.first / samples * samples;
+        let noise = Noise { record: apart, rest: &apart.tau, rows: period..period + samples, ratio: 1.0 };
+        let gap = || contact::largest_gap(operating_point, apart, &apart.tau, &noise, event);
+        share < MIN_COMPARABLE_RATIO || gap() >= share * contact::MIN_GAP
+    };
     let (mut touched, mut others) = (Vec::new(), 0.0_f64);
     let by_model = |event: &Event| !record.has_majority(event.first..event.last);
     for event in contact::candidates(&record, x, &[]).into_iter().filter(by_model) {
         let contact = || contact::contact(operating_point, &record, &record.tau, &noise, &event, MIN_GAP);
-        match (!comes_again(&event)).then(contact).flatten() {
+        match (!comes_again(&event)).then(contact).flatten().filter(|_| differs(&event)) {
             Some(contact) => touched.push((energy(&event), event, contact)),
             None => others = others.max(energy(&event)),
         }
@@ -114,4 +127,13 @@ pub(super) fn contacts_of_one_period(
     // What is there when the run begins or ends may be no contact but what came within the run, or went.
     let found = contacts(&experiment, operating_point, || unmodelled).into_iter().map(|(contact, _)| contact);
     found.filter(|contact| contact.at_ends == [false; 2]).collect()
+}
+
+/// What each period of a run has more than another one, where two count; the model has no part in it. `None` without repeats.
+fn difference(experiment: &Experiment) -> Option<Record<'_>> {
+    let mut record = Record::of(experiment, 0.0)?;
+    record.uncounted = (0..record.tau.nrows()).map(|row| !record.has_periods(row..row + 1, MAX_PERIODS)).collect();
+    // Deviations from the mean of both are half of it.
+    record.tau = record.smoothed(&(2.0 * &record.tau), FITTED_S);
+    Some(record)
 }

@@ -129,11 +129,21 @@ impl Record<'_> {
     }
 
     /// Whether at all of these rows more periods count than could disagree.
-    pub fn has_majority(&self, mut rows: Range<usize>) -> bool {
+    pub fn has_majority(&self, rows: Range<usize>) -> bool {
+        self.has_periods(rows, MAX_PERIODS + 1)
+    }
+
+    /// Whether at all of these rows so many periods count.
+    pub fn has_periods(&self, mut rows: Range<usize>, least: usize) -> bool {
         let counted = |row: usize| {
             (row % self.samples..self.uncounted.len()).step_by(self.samples).filter(|&row| !self.uncounted[row]).count()
         };
-        rows.all(|row| counted(row) > MAX_PERIODS)
+        rows.all(|row| counted(row) >= least)
+    }
+
+    /// Number of these rows that count.
+    pub fn counted(&self, rows: Range<usize>) -> usize {
+        self.uncounted[rows].iter().filter(|uncounted| !**uncounted).count()
     }
 
     /// Whether a sample shows nothing of a joint's torque: it is not in the mean, or the joint stands and its friction holds any torque.

@@ -22,6 +22,7 @@ use course::{Course, Normal, SETTLED_RATIO, Torques};
 use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 use plumbline_model::term::effect::OperatingPoint;
 use plumbline_model::{Chain, JointKind, Placement};
+use rivals::Rivals;
 
 /// Smallest difference of a contact's score to that of what is no contact, by what other periods are. Noise alone reaches 3.
 pub(super) const MIN_GAP: f64 = 12.0;
@@ -171,11 +172,8 @@ pub(super) fn contact(
     event: &Event,
     least: f64,
 ) -> Option<Contact> {
-    let chain = &operating_point.chain;
-    let data = Data::of(chain, record, x, noise, event);
-    let rivals = data.rivals(record, &gravity_columns(&record.motion, &operating_point.load));
-    let data = Data { left: rivals.left(), ..data };
-    let mut tried: Vec<Fitted> = (0..chain.len()).flat_map(|link| data.tried(link)).collect();
+    let (data, rivals) = Data::beside_rivals(operating_point, record, x, noise, event);
+    let mut tried: Vec<Fitted> = (0..data.chain.len()).flat_map(|link| data.tried(link)).collect();
     let most = tried.iter().map(|one| one.explained).fold(0.0, f64::max);
     tried.retain(|one| one.explained >= MIN_EXPLAINED_RATIO);
     // What explains as much with fewer numbers: the arm gives way a little and so has torques of its own, which a full wrench would take up. Of links the
@@ -197,7 +195,32 @@ pub(super) fn contact(
     ordered.into_iter().find_map(reported)
 }
 
+/// Largest difference of a contact's score to that of what is no contact, whatever else happens in the event.
+pub(super) fn largest_gap(
+    operating_point: &OperatingPoint,
+    record: &Record,
+    x: &DMatrix<f64>,
+    noise: &Noise,
+    event: &Event,
+) -> f64 {
+    let (data, rivals) = Data::beside_rivals(operating_point, record, x, noise, event);
+    let acts = (0..data.chain.len()).flat_map(|link| data.acts(link, data.fit(link, Act::Wrench)));
+    acts.map(|one| data.gap(&rivals, &one)).fold(f64::NEG_INFINITY, f64::max)
+}
+
 impl Data<'_> {
+    fn beside_rivals<'a>(
+        operating_point: &'a OperatingPoint,
+        record: &Record,
+        x: &DMatrix<f64>,
+        noise: &Noise,
+        event: &Event,
+    ) -> (Data<'a>, Rivals) {
+        let data = Data::of(&operating_point.chain, record, x, noise, event);
+        let rivals = data.rivals(record, &gravity_columns(&record.motion, &operating_point.load));
+        (Data { left: rivals.left(), ..data }, rivals)
+    }
+
     fn of<'a>(chain: &'a Chain, record: &Record, x: &DMatrix<f64>, noise: &Noise, event: &Event) -> Data<'a> {
         let margin = (MARGIN_S / record.dt).round() as usize;
         let (first, last) = (event.first.saturating_sub(margin), (event.last + margin).min(x.nrows()));
@@ -249,9 +272,11 @@ impl Data<'_> {
         let wrench = self.fit(link, Act::Wrench);
         // A force leaves no less than a wrench, and has at least as many parameters as one that keeps its direction.
         let limit = wrench.as_ref().map_or(1.0, |wrench| self.explained(wrench.course.rss, self.of_push(link)));
-        if limit < MIN_EXPLAINED_RATIO {
-            return Vec::new();
-        }
+        if limit < MIN_EXPLAINED_RATIO { Vec::new() } else { self.acts(link, wrench) }
+    }
+
+    /// What may act on a link beside this wrench.
+    fn acts(&self, link: usize, wrench: Option<Fitted>) -> Vec<Fitted> {
         // Taking turns creeps, and a good start saves most of it: the frame's origin, or where the moments of a full wrench say.
         let mut starts = vec![Vector3::zeros()];
         starts.extend(wrench.as_ref().and_then(|wrench| self.lever(wrench)));

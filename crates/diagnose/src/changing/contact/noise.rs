@@ -23,6 +23,8 @@ pub struct Noise<'a> {
     pub record: &'a Record<'a>,
     /// Deviations of all periods, P N x n \[Nm\].
     pub rest: &'a DMatrix<f64>,
+    /// Rows of them that the noise is estimated from.
+    pub rows: Range<usize>,
     /// Noise of a period's deviation from the mean of the others over that from the mean of all.
     pub ratio: f64,
 }
@@ -37,7 +39,7 @@ pub(super) struct Parts {
 impl Noise<'_> {
     /// The noise of each joint in blocks of so many rows, from what does not belong to an event.
     pub(super) fn of_blocks(&self, length: usize, event: &Range<usize>) -> Vec<Parts> {
-        let most = (self.rest.nrows() / MIN_WINDOWS / length).max(1);
+        let most = (self.rows.len() / MIN_WINDOWS / length).max(1);
         let doubled = (0..).map(|k| 1 << k).take_while(|count| 2 * count <= most);
         let dt = length as f64 * self.record.dt;
         let of_part = |part: usize| if part == 0 { 0.0 } else { (-dt / CORRELATION_TIMES_S[part - 1]).exp() };
@@ -62,7 +64,8 @@ impl Noise<'_> {
     /// Variance of what windows of so many rows give that overlap and have no row of an event \[Nm^2\].
     fn spread_of(&self, rows: usize, event: &Range<usize>, value: impl Fn(usize) -> Option<f64>) -> f64 {
         let hop = (rows / WINDOWS_OVERLAPPING).max(1);
-        let starts = (0..=self.rest.nrows().saturating_sub(rows)).step_by(hop);
+        let Range { start, end } = self.rows;
+        let starts = (start..=end.saturating_sub(rows).max(start)).step_by(hop);
         let apart = starts.filter(|&start| start + rows <= event.start || start >= event.end);
         let (_, deviation) = spread(&apart.filter_map(value).collect::<Vec<_>>());
         (1.4826 * deviation * self.ratio).max(1e-9).powi(2)
