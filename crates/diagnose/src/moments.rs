@@ -171,7 +171,7 @@ impl GroupedColumns {
                 candidates.iter().enumerate().filter_map(|(at, rows)| Some((at, rows.of(joint)?))).collect();
             let columns: usize = own.iter().map(|(_, part)| part.ncols()).sum();
             let mut c = Vec::with_capacity(columns * self.r[joint].len());
-            for part in own.iter().flat_map(|(_, part)| part.as_slice().chunks_exact(part.nrows())) {
+            for part in own.iter().flat_map(|(_, part)| part.as_slice().chunks_exact(part.nrows().max(1))) {
                 self.pieces.iter().for_each(|rows| c.extend_from_slice(&part[rows.clone()]));
             }
             let c = DMatrix::from_vec(self.r[joint].len(), columns, c);
