@@ -83,7 +83,7 @@ pub(super) fn check(job: &Job) -> Result<(), BadInput> {
         return bad("diagnosis.rounds", &job.diagnosis.rounds, expected);
     }
     if let Some(until) = job.diagnosis.until.filter(|until| !(1e-4..=1.0).contains(until)) {
-        return bad("diagnosis.until", &until, "a share of the parameters' values, 0.0001 to 1");
+        return bad("diagnosis.until", &until, "a share of the effect's size, 0.0001 to 1");
     }
     let validation = &job.validation;
     if validation.trajectories > 100 {
