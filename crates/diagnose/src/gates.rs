@@ -86,7 +86,8 @@ pub fn folds(problem: &Problem, state: &State, tried: &Tried) -> FoldTest {
     if count < 2 {
         return found;
     }
-    let (phi, moments) = (&tried.fit.phi, tried.moments(problem.evidence, state));
+    let (phi, own) = (&tried.fit.phi, state.moments(problem.evidence));
+    let moments = tried.moments(problem.evidence, state);
     let alone = alone(problem, state, tried);
     let energies = energies(problem, state, tried, &moments);
     let total = energies.iter().sum::<f64>().max(f64::MIN_POSITIVE);
@@ -100,13 +101,12 @@ pub fn folds(problem: &Problem, state: &State, tried: &Tried) -> FoldTest {
     let known = problem.evidence.repeats();
     if known && !tried.held {
         let surprises = |moments| problem.surprise(moments, phi).into_iter();
-        let falls =
-            surprises(&moments).zip(surprises(state.moments(problem.evidence))).map(|(with, without)| with < without);
+        let falls = surprises(&moments).zip(surprises(own)).map(|(with, without)| with < without);
         found.positive = falls.zip(informative).filter(|(falls, informative)| *falls && *informative).count();
         return found;
     }
     let with = problem.left_out(&moments, phi);
-    let without = if tried.held { Vec::new() } else { problem.left_out(state.moments(problem.evidence), phi) };
+    let without = if tried.held { Vec::new() } else { problem.left_out(own, phi) };
     // Per joint: weighted and plain error and that of the low bands, each without and with the candidate.
     let mut errors = vec![[[0.0; 2]; 3]; problem.evidence.joints()];
     let (mut falls, mut rises) = (0.0, 0.0);
@@ -119,7 +119,7 @@ pub fn folds(problem: &Problem, state: &State, tried: &Tried) -> FoldTest {
         // With a prior, the other parameters are those of the fit with the candidate.
         let held = || with[fold].rows(0, state.fit.theta.len()).into_owned();
         let theta = without.get(fold).cloned().unwrap_or_else(held);
-        let error_without = problem.of_fold(state.moments(problem.evidence), &theta, fold, phi);
+        let error_without = problem.of_fold(own, &theta, fold, phi);
         for (sums, own) in errors.iter_mut().zip(error_without.iter().zip(&error_with)) {
             for (sum, (without, with)) in sums.iter_mut().zip(own.0.iter().zip(own.1)) {
                 sum[0] += without;

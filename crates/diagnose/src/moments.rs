@@ -124,7 +124,7 @@ impl Columns {
             let Some(c) = rows.in_cell(cell) else { continue };
             let m = self.m[cell.joint].rows(cell.rows.start, cell.rows.len());
             let r = self.r[cell.joint].rows(cell.rows.start, cell.rows.len());
-            cells.push((index, CrossMoment::of(&m, &c, &r)));
+            cells.push((index, CrossMoment::of(transposed_product(&m, &c), &c, &r)));
         }
         Cross { width: rows.width, exact: rows.exact, cells }
     }
@@ -186,8 +186,7 @@ impl GroupedColumns {
                     first += width;
                     // What acts in a part of the recording is zero before and after it.
                     if c.iter().any(|value| *value != 0.0) {
-                        let sums = CrossMoment { a, c: c.tr_mul(&c), d: c.tr_mul(&r) };
-                        crosses[*at].groups.push((group(joint, band), sums));
+                        crosses[*at].groups.push((group(joint, band), CrossMoment::of(a, &c, &r)));
                     }
                 }
             }
@@ -197,8 +196,9 @@ impl GroupedColumns {
 }
 
 impl CrossMoment {
-    fn of(m: &DMatrixView<f64>, c: &DMatrixView<f64>, r: &DVectorView<f64>) -> CrossMoment {
-        CrossMoment { a: transposed_product(m, c), c: transposed_product(c, c), d: c.tr_mul(r) }
+    /// Of a candidate's columns and the torques, with their products `a` with the model's.
+    fn of(a: DMatrix<f64>, c: &DMatrixView<f64>, r: &DVectorView<f64>) -> CrossMoment {
+        CrossMoment { a, c: transposed_product(c, c), d: c.tr_mul(r) }
     }
 }
 
@@ -230,17 +230,14 @@ impl GroupedMoments {
     /// The model with the candidate as its last columns.
     pub fn with(&self, cross: &GroupedCross) -> GroupedMoments {
         let (p, l) = (self.width, cross.width);
-        let mut sums = self.clone();
-        sums.width += l;
-        for (g, b) in sums.groups.iter_mut().flatten() {
-            (*g, *b) = grown(g, b, l);
-        }
+        let more = |(g, b): &(DMatrix<f64>, DVector<f64>)| grown(g, b, l);
+        let mut groups: Vec<_> = self.groups.iter().map(|own| own.as_ref().map(more)).collect();
         for (at, add) in &cross.groups {
-            if let Some((g, b)) = &mut sums.groups[*at] {
+            if let Some((g, b)) = &mut groups[*at] {
                 fill(g, b, p, add);
             }
         }
-        sums
+        GroupedMoments { width: p + l, groups, r2: self.r2.clone(), count: self.count.clone() }
     }
 
     /// The model without some of its columns.
@@ -250,8 +247,7 @@ impl GroupedMoments {
             (g, b.clone().remove_rows(gone.start, gone.len()))
         };
         let groups = self.groups.iter().map(|own| own.as_ref().map(less)).collect();
-        let (r2, count) = (self.r2.clone(), self.count.clone());
-        GroupedMoments { width: self.width - gone.len(), groups, r2, count }
+        GroupedMoments { width: self.width - gone.len(), groups, r2: self.r2.clone(), count: self.count.clone() }
     }
 }
 

@@ -11,6 +11,7 @@ use plumbline_identify::{ExcludedSpan, Experiment, Repeats};
 use plumbline_model::term::Motion;
 use plumbline_model::term::effect::OperatingPoint;
 use std::borrow::Cow;
+use std::cell::OnceCell;
 
 /// Largest number of periods without a majority.
 pub(super) const MAX_PERIODS: usize = 2;
@@ -82,9 +83,9 @@ fn contacts(
         (1..record.periods()).any(in_period)
     };
     // What the model lacks beside it may look like a contact, or make one of noise: where two periods count, they have to differ by one, too.
-    let apart = difference(experiment);
+    let apart = OnceCell::new();
     let differs = |event: &Event| {
-        let Some(apart) = &apart else { return true };
+        let Some(apart) = apart.get_or_init(|| difference(experiment)) else { return true };
         let share = apart.counted(event.first..event.last) as f64 / (event.last - event.first) as f64;
         // The other period has the same once more.
         let period = event.first / samples * samples;
