@@ -2,7 +2,7 @@
 
 use super::EstimateError;
 use super::faults::{interpolate, spoiled};
-use super::periods::{Scatter, average, centre, fill, weights};
+use super::periods::{Beside, Scatter, average, centre, fill, weights};
 use super::run::Run;
 use super::settings::Settings;
 use super::settling::settling;
@@ -122,7 +122,7 @@ impl Even {
             let own = spoiled.iter().find(|(own, _)| *own == column).zip(measured.as_ref());
             let mut values = rest.column_mut(column);
             let Some(((_, rows), measured)) = own else {
-                fill(values.as_mut_slice(), &filled, &left_out, samples, 1);
+                fill(values.as_mut_slice(), &filled, &left_out, samples, Beside::Level(1));
                 continue;
             };
             let rows = &on_grid(rows, &run.t, even.values.nrows(), dt)[first..first + whole];
@@ -205,7 +205,8 @@ impl Missing<'_> {
     fn repair(&self, values: &mut [f64], measured: &[f64], alone: &mut [bool]) -> usize {
         let Missing { filled, spoiled, left_out, long, samples, beside, dt } = *self;
         let either = |a: &[bool], b: &[bool]| a.iter().zip(b).map(|(a, b)| a | b).collect::<Vec<bool>>();
-        let found = fill(values, &either(filled, spoiled), &either(left_out, spoiled), samples, beside);
+        let level = Beside::Level(beside);
+        let found = fill(values, &either(filled, spoiled), &either(left_out, spoiled), samples, level);
         let rows = spoiled.len();
         let others =
             |row: usize| (row % samples..rows).step_by(samples).filter(move |&other| other != row && !long[other]);
@@ -213,7 +214,7 @@ impl Missing<'_> {
         // A start that has not settled has the course of the torques between both ends.
         let no_line = long_stretches(spoiled.to_vec(), dt, MAX_CURVE_S);
         let open: Vec<bool> = (0..rows).map(|row| no_line[row] && !found[row] && !settled(row)).collect();
-        let at_last = fill(values, &open, &either(long, spoiled), samples, beside);
+        let at_last = fill(values, &open, &either(long, spoiled), samples, Beside::Line(beside));
         let mut replaced = 0;
         for row in (0..rows).filter(|&row| spoiled[row]) {
             if found[row] || at_last[row] {
@@ -232,13 +233,14 @@ impl Missing<'_> {
     }
 }
 
-/// Samples of an even grid that begins at the first time stamp, from rows at uneven times \[s\].
+/// Samples of an even grid that begins at the first time stamp, from rows at uneven times \[s\], with those that were lost between two of them.
 fn on_grid(rows: &[bool], t: &[f64], samples: usize, dt: f64) -> Vec<bool> {
     let mut grid = vec![false; samples];
-    for (_, time) in rows.iter().zip(t).filter(|(row, _)| **row) {
-        // The nearest sample: the others are interpolated from rows that were replaced.
-        let at = ((time - t[0]) / dt).round() as usize;
-        grid[at.min(samples - 1)] = true;
+    // The nearest sample: the others are interpolated from rows that were replaced.
+    let at = |row: usize| (((t[row] - t[0]) / dt).round() as usize).min(samples - 1);
+    for row in (0..rows.len()).filter(|&row| rows[row]) {
+        let first = if row > 0 && rows[row - 1] { at(row - 1) } else { at(row) };
+        grid[first..=at(row)].fill(true);
     }
     grid
 }

@@ -74,10 +74,44 @@ pub fn average(values: &DMatrix<f64>, weights: &[f64], filled: &[bool], samples:
     Averaged { mean, scatter: Some(scatter), deviations, counted }
 }
 
-/// Puts into rows of a column that are `missing` what the other periods have there, with the period's own deviation from them on both sides of the gap:
-/// the mean over the periods must not jump where one of them is missing, for a step in positions is a blow in their accelerations. Of noisy values that deviation
-/// is the mean of as many as `beside` on each side. `unusable` rows of other periods are not taken. Returns whether each missing row was filled.
-pub fn fill(values: &mut [f64], missing: &[bool], unusable: &[bool], samples: usize, beside: usize) -> Vec<bool> {
+/// How a period differs from the others at both ends of a gap.
+#[derive(Clone, Copy, Debug)]
+pub enum Beside {
+    /// By the mean difference of at most so many samples on each side.
+    Level(usize),
+    /// By a line through them: one of both has not settled, and the difference changes fast.
+    Line(usize),
+}
+
+impl Beside {
+    fn samples(self) -> usize {
+        match self {
+            Beside::Level(samples) | Beside::Line(samples) => samples,
+        }
+    }
+
+    /// Difference at the sample next to the gap and its change from sample to sample away from there, from the differences in that order; `None` without any.
+    fn of(self, differences: &[f64]) -> Option<[f64; 2]> {
+        let count = differences.len() as f64;
+        let mean = differences.iter().sum::<f64>() / count;
+        let middle = 0.5 * (count - 1.0);
+        let along = |(k, difference): (usize, &f64)| (k as f64 - middle) * (difference - mean);
+        let squares = count * (count * count - 1.0) / 12.0;
+        match (self, differences.len()) {
+            (_, 0) => None,
+            (Beside::Line(_), 2..) => {
+                let slope = differences.iter().enumerate().map(along).sum::<f64>() / squares;
+                Some([mean - slope * middle, slope])
+            }
+            _ => Some([mean, 0.0]),
+        }
+    }
+}
+
+/// Puts into rows of a column that are `missing` what the other periods have there, with the period's own difference from them at both ends of the gap and a cubic
+/// (Hermite's) or, of [`Beside::Level`], a line between: the mean over the periods must not jump where one of them is missing, for a step in positions is a blow in
+/// their accelerations. `unusable` rows of other periods are not taken. Returns whether each missing row was filled.
+pub fn fill(values: &mut [f64], missing: &[bool], unusable: &[bool], samples: usize, beside: Beside) -> Vec<bool> {
     let rows = values.len();
     let mut filled = vec![false; rows];
     let mut first = 0;
@@ -106,17 +140,29 @@ pub fn fill(values: &mut [f64], missing: &[bool], unusable: &[bool], samples: us
                 let usable = |&period: &usize| shifted(period, *row).is_some_and(|other| !unusable[other]);
                 !missing[*row] && donors.iter().all(usable)
             };
-            let left: Vec<usize> = (first.saturating_sub(beside)..first).rev().take_while(told).collect();
-            let right: Vec<usize> = (end..(end + beside).min(rows)).take_while(told).collect();
-            let deviations = [left, right].map(|edge| {
-                let sum: f64 = edge.iter().map(|&row| values[row] - mean(values, row)).sum();
-                (!edge.is_empty()).then(|| sum / edge.len() as f64)
+            let left: Vec<usize> = (first.saturating_sub(beside.samples())..first).rev().take_while(told).collect();
+            let right: Vec<usize> = (end..(end + beside.samples()).min(rows)).take_while(told).collect();
+            let ends = [left, right].map(|edge| {
+                let differences: Vec<f64> = edge.iter().map(|&row| values[row] - mean(values, row)).collect();
+                beside.of(&differences)
             });
-            let [left, right] = [0, 1].map(|side| deviations[side].or(deviations[1 - side]).unwrap_or(0.0));
+            // Where one end is missing, the other's level holds.
+            let level = |side: usize| ends[side].or(ends[1 - side].map(|[level, _]| [level, 0.0])).unwrap_or_default();
+            let ([left, before], [right, after]) = (level(0), level(1));
             let length = (end - first + 1) as f64;
             for row in first..end {
                 let share = (row - first + 1) as f64 / length;
-                values[row] = mean(values, row) + left + share * (right - left);
+                let rest = 1.0 - share;
+                // The slopes point away from the gap. Of a level both are zero, and a line has less of what both ends are off.
+                let bent = match beside {
+                    Beside::Level(_) => left + share * (right - left),
+                    Beside::Line(_) => {
+                        let weight = rest * rest * (1.0 + 2.0 * share);
+                        let slopes = rest * rest * share * before + share * share * rest * after;
+                        weight * left + (1.0 - weight) * right - length * slopes
+                    }
+                };
+                values[row] = mean(values, row) + bent;
                 filled[row] = true;
             }
         }
@@ -399,7 +445,7 @@ mod tests {
             values[row] = 1e6;
             missing[row] = true;
         }
-        let filled = fill(&mut values, &missing, &missing, samples, 1);
+        let filled = fill(&mut values, &missing, &missing, samples, Beside::Level(1));
         assert_eq!(filled, missing);
         // At the end of the record the deviation is that before the gap.
         let apart = |row: usize| (values[row] - clean[row]).abs();
@@ -416,7 +462,7 @@ mod tests {
         unusable[40..60].fill(true);
         let mut alone = clean;
         (alone[33], alone[73]) = (1e6, 1e6);
-        let filled = fill(&mut alone, &missing, &unusable, samples, 1);
+        let filled = fill(&mut alone, &missing, &unusable, samples, Beside::Level(1));
         assert!(!filled[33] && alone[33] == 1e6 && filled[79], "{filled:?}");
     }
 
@@ -430,7 +476,7 @@ mod tests {
             let mut values = clean.clone();
             values[279] += 1.0;
             values[280..340].fill(9.0);
-            assert_eq!(fill(&mut values, &missing, &missing, samples, beside), missing);
+            assert_eq!(fill(&mut values, &missing, &missing, samples, Beside::Level(beside)), missing);
             (280..340).map(|k| (values[k] - clean[k]).abs()).fold(0.0, f64::max)
         };
         assert!(filled_with(1) > 0.9 && filled_with(20) < 0.06, "{} {}", filled_with(1), filled_with(20));

@@ -121,7 +121,8 @@ pub(super) fn contacts_of_one_period(
         q: none.clone(),
         tau: none,
         mean: experiment.tau.clone(),
-        counted: vec![true; rows],
+        // Where the arm rests or samples were lost, torques tell nothing.
+        counted: experiment.resting().iter().map(|out| !out).collect(),
     };
     let mut experiment = experiment.clone();
     experiment.repeats = Some(repeats);

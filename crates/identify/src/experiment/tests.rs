@@ -205,7 +205,7 @@ fn lost_samples_and_drop_outs_do_not_move_the_mean_of_periods_that_differ() {
 /// Where the torques of the one settled period are lost for long, motion and torques are those of the other, which is not; a spike is bridged by a line.
 #[test]
 fn a_drop_out_where_the_other_period_has_not_settled_is_no_line_and_a_spike_is_one() {
-    for (far, lost) in [(0.002, 200), (0.01, 2)] {
+    for (far, first, lost) in [(0.002, 2400, 200), (0.1, 2200, 200), (0.01, 2400, 2)] {
         let mut run = run(Some(2.0), 4.0);
         for (k, t) in run.t.clone().into_iter().enumerate() {
             for j in 0..2 {
@@ -216,12 +216,16 @@ fn a_drop_out_where_the_other_period_has_not_settled_is_no_line_and_a_spike_is_o
                 run.tau[(k, j)] = 2.0 * (start / (0.15 * 0.15) - w * w * (w * t).sin()) + 1e-3 * tick;
             }
         }
-        run.tau.view_mut((2400, 0), (lost, 2)).fill(if lost > 2 { 0.0 } else { 300.0 });
+        run.tau.view_mut((first, 0), (lost, 2)).fill(if lost > 2 { 0.0 } else { 300.0 });
+        // A sample that is lost in the middle does not part a drop-out.
+        let row = first + lost / 2;
+        run.t.remove(row);
+        (run.q, run.tau) = (run.q.remove_row(row), run.tau.remove_row(row));
         let experiment = Experiment::prepare(&run, &kept_periods()).unwrap();
         assert!(experiment.settling > 0.6, "{} s", experiment.settling);
         let error = inertia(&experiment.motion) - &experiment.tau;
         let error = experiment.filter(&DMatrix::from_column_slice(error.len(), 1, error.as_slice())).amax();
-        // A line across the drop-out would be off by 0.9 Nm, the other period instead of the spike by 0.3 Nm.
-        assert!(error < 0.1, "{lost} samples: {error} Nm");
+        // A line across the drop-out would be off by 0.9 Nm, one across what the periods differ by 0.2 Nm, the other period instead of the spike by 0.3 Nm.
+        assert!(error < 0.1, "{lost} samples from {first}: {error} Nm");
     }
 }

@@ -186,6 +186,20 @@ fn a_contact_is_found_in_a_motion_that_does_not_repeat() {
 }
 
 #[test]
+fn torques_that_drop_out_in_a_motion_that_does_not_repeat_are_no_contact() {
+    let clean = recorded_periods(1, 1, 72, |_, _| {});
+    let touched = |first: usize| {
+        let mut runs = clean.clone();
+        // Where they were lost there is a line.
+        runs[0].tau.view_mut((first, 0), (200, 7)).fill(0.0);
+        found_once(&runs).contacts
+    };
+    for first in (1000..8000).step_by(700) {
+        assert!(touched(first).is_empty(), "{first}: {:?}", touched(first));
+    }
+}
+
+#[test]
 fn a_contact_is_found_where_all_but_two_periods_are_left_out() {
     let (runs, _, force) = pushed_at(14.2, 3, 73);
     let settled = ExcludedSpan { run: runs[0].name.clone(), from: 3.5, to: 5.5 };
