@@ -373,7 +373,7 @@ fn effects_of(
         }
         let joint = found.relevance.joint;
         let effect = Effect {
-            parameters: Parameters(settings_of(state, index, &deviations).into_iter().chain(linear.clone()).collect()),
+            parameters: Parameters(settings_of(state, index, &deviations).into_iter().chain(linear).collect()),
             adequacy: adequacy[joint],
             explained_share: Some(found.relevance.share[joint].max(0.0)),
             confirmed: confirmed[index],
@@ -382,14 +382,9 @@ fn effects_of(
             acts: acting::acts(item.span, input.identify),
             ..found.effect(&item.named())
         };
-        effects.push(Named { spec: item.spec.clone(), linear, effect });
+        effects.push(Named { spec: item.spec.clone(), effect });
     }
-    let friction = |joint: usize| {
-        let name = format!("fc{}", joint + 1);
-        let at = after.structure.columns().iter().position(|column| column.name == name)?;
-        Some(after.identification.beta[at])
-    };
-    parts::together(effects, friction)
+    parts::together(effects)
 }
 
 /// Nonlinear parameters of an effect.

@@ -1,19 +1,10 @@
 //! Effects that are parts of another one.
 //!
-//! A torque sensor with cross-talk measures a share of another joint's torque, friction included. The column of `torque-crosstalk` is the
-//! rigid-body torque alone, so the search finds the rest as friction between the two joints. A family declares this ([`PartOf`]): where the
-//! form's first coefficient is the other effect's share of the cause's own friction, both are reported as one effect.
-//!
 //! A law of friction or of a gear is an approximation, and the search finds what it leaves as a second one of the same joint: one of a small share of the
 //! first is reported with it.
 
-use super::outcome::{Effect, Quantity};
-use plumbline_model::term::effect::{Form, PartOf, Site, Spec};
-
-/// Largest difference of the coefficient from the share, in standard deviations,
-const MAX_DEVIATIONS: f64 = 4.0;
-/// plus this share of the coefficient: friction is a step in one column and smooth in the other.
-const FORM_ERROR_RATIO: f64 = 0.25;
+use super::outcome::Effect;
+use plumbline_model::term::effect::{Form, Spec};
 
 /// Largest torque of what a law leaves, as a share of the law's.
 const MAX_REST_RATIO: f64 = 0.15;
@@ -22,34 +13,16 @@ const MAX_REST_RATIO: f64 = 0.15;
 pub struct Named {
     /// What the search found.
     pub spec: Spec,
-    /// Its linear parameters.
-    pub linear: Vec<Quantity>,
     /// As it stands in files.
     pub effect: Effect,
 }
 
-/// Merges parts into the effects that they belong to, the best score first. `friction` gives a joint's Coulomb friction \[Nm\], joints from 0.
-pub fn together(effects: Vec<Named>, friction: impl Fn(usize) -> Option<f64>) -> Vec<Effect> {
-    let (parts, mut whole): (Vec<Named>, Vec<Named>) =
-        effects.into_iter().partition(|one| one.effect.in_model && part_of(&one.spec).is_some());
-    for part in parts {
-        let (Site::Pair { cause, .. }, Some(of)) = (part.spec.site, part_of(&part.spec)) else {
-            whole.push(part);
-            continue;
-        };
-        let belongs = |one: &&mut Named| {
-            let own = one.effect.in_model && one.spec.family == of.family && one.spec.site == part.spec.site;
-            own && friction(cause).is_some_and(|fc| is_share(&one.linear, &part.linear, fc))
-        };
-        match whole.iter_mut().find(belongs) {
-            Some(one) => one.effect.parameters.0.extend(part.linear),
-            None => whole.push(part),
-        }
-    }
-    let is_rest: Vec<bool> = whole.iter().map(|one| whole.iter().any(|of| is_rest_of(one, of))).collect();
+/// Effects with what their laws leave, the best score first.
+pub fn together(effects: Vec<Named>) -> Vec<Effect> {
+    let is_rest: Vec<bool> = effects.iter().map(|one| effects.iter().any(|of| is_rest_of(one, of))).collect();
     let mut is_rest = is_rest.into_iter();
     let (rests, mut whole): (Vec<Named>, Vec<Named>) =
-        whole.into_iter().partition(|_| is_rest.next().unwrap_or_default());
+        effects.into_iter().partition(|_| is_rest.next().unwrap_or_default());
     for rest in rests {
         if let Some(one) = whole.iter_mut().find(|one| is_rest_of(&rest, one)) {
             one.effect.physics += &format!(" What this law leaves there is described by {}.", rest.spec.family);
@@ -72,25 +45,11 @@ fn is_rest_of(one: &Named, of: &Named) -> bool {
     small && other_law && approximate(one) && approximate(of)
 }
 
-/// The declaration of an effect's family that its form may be part of another effect.
-fn part_of(spec: &Spec) -> Option<PartOf> {
-    spec.family().ok()?.rare.part_of.filter(|part| part.form == spec.form)
-}
-
-/// Whether the first coefficient of `coupling` is the share in `crosstalk` of the Coulomb friction `fc` \[Nm\].
-fn is_share(crosstalk: &[Quantity], coupling: &[Quantity], fc: f64) -> bool {
-    let (Some(share), Some(found)) = (crosstalk.first(), coupling.first()) else { return false };
-    let expected = share.value * fc;
-    let std = share.std.unwrap_or(0.0) * fc.abs();
-    let spread = std.hypot(found.std.unwrap_or(0.0));
-    expected * found.value > 0.0
-        && (found.value - expected).abs() <= MAX_DEVIATIONS * spread + FORM_ERROR_RATIO * expected.abs()
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::outcome::Parameters;
+    use crate::outcome::{Parameters, Quantity};
+    use plumbline_model::term::effect::Site;
 
     fn estimate(value: f64, std: f64) -> Vec<Quantity> {
         vec![Quantity { value, std: Some(std), ..Quantity::default() }]
@@ -103,11 +62,11 @@ mod tests {
             let parameters = Parameters(estimate(torque_rms, 0.0));
             let effect =
                 Effect { torque_rms: Some(torque_rms), in_model: true, parameters, ..Effect::of(family, form) };
-            Named { spec, linear: Vec::new(), effect }
+            Named { spec, effect }
         };
         let hysteresis = || named("presliding", "", 4, &[1e-3], 1.0);
         let count = |one: Named| {
-            let effects = together(vec![one, hysteresis()], |_| None);
+            let effects = together(vec![one, hysteresis()]);
             (effects.len(), effects.iter().map(|effect| effect.parameters.0.len()).max().unwrap())
         };
         assert_eq!(count(named("stribeck", "gaussian", 4, &[0.03], 0.14)), (1, 2));
@@ -118,16 +77,5 @@ mod tests {
         let mut alone = named("stribeck", "gaussian", 4, &[0.03], 0.14);
         alone.effect.in_model = false;
         assert_eq!(count(alone), (2, 1));
-    }
-
-    #[test]
-    fn a_coupling_is_a_part_where_it_is_the_share_of_the_friction() {
-        let share = estimate(0.03, 0.0005);
-        assert!(is_share(&share, &estimate(0.014, 0.001), 0.5));
-        assert!(is_share(&estimate(-0.03, 0.0005), &estimate(-0.0155, 0.001), 0.5));
-        // Four times as much, the other way, and nothing to compare with.
-        assert!(!is_share(&share, &estimate(0.06, 0.001), 0.5));
-        assert!(!is_share(&share, &estimate(-0.015, 0.001), 0.5));
-        assert!(!is_share(&[], &estimate(0.015, 0.001), 0.5));
     }
 }

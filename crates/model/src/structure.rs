@@ -226,7 +226,10 @@ impl Structure {
         let own: Option<Vec<Column>> = self.terms.iter().find(rotor).map(|term| term.columns());
         let absorbed = |joint: usize| own.as_ref().is_some_and(|own| own.iter().all(|column| column.joint != joint));
         let rotors = (1..=self.chain.len()).map(absorbed).collect();
-        OperatingPoint { chain: self.chain.clone(), load: Arc::new(load), friction, rotors }
+        let rotor_inertias = own.map_or_else(Vec::new, |_| {
+            (1..=self.chain.len()).map(|j| of(format!("ia{j}")).unwrap_or_default()).collect()
+        });
+        OperatingPoint { chain: self.chain.clone(), load: Arc::new(load), friction, rotor_inertias, rotors }
     }
 
     /// Without the columns that `keep` rejects, except those of the rigid body. Their parameters are zero.

@@ -42,11 +42,12 @@ pub fn write(model: &TorqueModel) -> Exported {
         }
         tau = recursion(&mut program, chain.joints(), &links);
     }
+    let operating_point = structure.operating_point(&beta);
     for (term, range) in structure.terms().iter().zip(structure.ranges()) {
         let (spec, entries) = (term.spec(), term.entries());
         for (c, value) in beta[range].iter().enumerate() {
             let column = match (&spec, &entries) {
-                (Some(spec), _) => effects::column(&mut program, spec, term.original(c), &load),
+                (Some(spec), _) => effects::column(&mut program, spec, term.original(c), &load, &operating_point),
                 (None, Some(entries)) => effects::entry(&mut program, entries[c]),
                 (None, None) => None,
             };

@@ -3,7 +3,7 @@
 use super::emit::{Program, Value, expression};
 use plumbline_identify::consistency::Nearest;
 use plumbline_model::term::Entry;
-use plumbline_model::term::effect::{EffectError, Family, InBodies, InC, Inputs, Site, Spec};
+use plumbline_model::term::effect::{EffectError, Family, InBodies, InC, Inputs, OperatingPoint, Site, Spec};
 use plumbline_model::term::friction::SHARPNESS;
 use plumbline_model::{LinkParameters, TorqueModel, is_consistent};
 
@@ -76,13 +76,21 @@ pub fn with_payload(model: &TorqueModel, bodies: &Nearest) -> Result<Nearest, Li
     Ok(bodies)
 }
 
-/// Column `c` of an effect as a value of the program, and its row; `load` has the rigid-body torques. `None` for an effect that
-/// [`notes_of_c`] names, and for one that is part of the rigid bodies.
-pub(super) fn column(program: &mut Program, spec: &Spec, c: usize, load: &[Value]) -> Option<(usize, Value)> {
+/// Column `c` of an effect as a value of the program, and its row; `load` has the rigid-body torques. `None` for an effect that [`notes_of_c`] names, and for one
+/// that is part of the rigid bodies.
+pub(super) fn column(
+    program: &mut Program,
+    spec: &Spec,
+    c: usize,
+    load: &[Value],
+    operating_point: &OperatingPoint,
+) -> Option<(usize, Value)> {
     let (InC::Columns(columns) | InC::Part { columns, .. }) = spec.form()?.in_c else {
         return None;
     };
     let [row, cause, other] = joints(spec.site);
+    let [fv, fc] = operating_point.friction.get(cause).copied().unwrap_or_default();
+    let ia = operating_point.rotor_inertias.get(cause).copied().unwrap_or_default();
     let inputs = Inputs {
         q: format!("q[{row}]"),
         dq: format!("dq[{row}]"),
@@ -95,6 +103,10 @@ pub(super) fn column(program: &mut Program, spec: &Spec, c: usize, load: &[Value
         other_dq: format!("dq[{other}]"),
         other_sign: expression(&sign(program, other)),
         load: load.get(cause).map_or(String::new(), expression),
+        cause_drive: format!(
+            "({fv:?})*dq[{cause}] + ({fc:?})*{} + ({ia:?})*ddq[{cause}]",
+            expression(&sign(program, cause))
+        ),
     };
     let text = columns(&inputs, &spec.settings).into_iter().nth(c)?;
     let name = program.fresh("e");

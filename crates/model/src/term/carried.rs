@@ -1,4 +1,4 @@
-//! Friction that acts together with the rigid-body torque: on a gear, on a sensor.
+//! Friction that acts together with the rigid-body torque, on a gear and on a sensor, and the rotor that a sensor before the gear sees, too.
 
 use super::Sample;
 use super::friction::SHARPNESS;
@@ -44,5 +44,33 @@ impl CarriedFriction {
         let sign = tanh_of_one(SHARPNESS * dq);
         let both = |[fv, fc]: &[f64; 2]| (fv * dq + fc * sign, fv + fc * SHARPNESS * (1.0 - sign * sign));
         self.parameters.get(joint).map_or((0.0, 0.0), both)
+    }
+}
+
+/// What the torque of each joint has beside the rigid body's: friction, and `ia_j ddq_j` of its rotor where the torques contain it.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Drives {
+    friction: CarriedFriction,
+    rotors: JointVec,
+}
+
+impl Drives {
+    /// Of an operating point.
+    pub fn of(operating_point: &OperatingPoint) -> Drives {
+        let mut rotors = JointVec::default();
+        rotors.iter_mut().zip(&operating_point.rotor_inertias).for_each(|(own, known)| *own = *known);
+        Drives { friction: CarriedFriction::of(operating_point), rotors }
+    }
+
+    /// Of all joints \[Nm\].
+    pub fn torques(&self, sample: &Sample) -> JointVec {
+        let mut tau = self.friction.torques(sample);
+        tau.iter_mut().zip(&self.rotors).zip(&sample.ddq).for_each(|((tau, rotor), ddq)| *tau += rotor * ddq);
+        tau
+    }
+
+    /// Of one joint at a velocity and an acceleration \[Nm\].
+    pub fn at(&self, dq: f64, ddq: f64, joint: usize) -> f64 {
+        self.friction.at(dq, joint) + self.rotors.get(joint).map_or(0.0, |rotor| rotor * ddq)
     }
 }

@@ -1,7 +1,7 @@
 //! Delay of torques against positions.
 
 use super::all_rows::*;
-use super::carried::CarriedFriction;
+use super::carried::Drives;
 use super::family::*;
 use super::load::LoadUnder;
 use super::one_row::column;
@@ -25,7 +25,7 @@ pub static FAMILY: Family = Family {
     forms: &[
         Form {
             name: "",
-            equation: "tau = -delay d (tau_rb + tau_friction) / dt, in all rows",
+            equation: "tau = -delay d tau_arm / dt, tau_arm = tau_rb + tau_friction + tau_rotor, in all rows",
             settings: &[],
             build: build_slope,
             in_c: REFUSED_MEMORY,
@@ -33,7 +33,7 @@ pub static FAMILY: Family = Family {
         },
         Form {
             name: "shifted",
-            equation: "tau = delay (tau_arm(t - shift) - tau_arm(t)) / shift, tau_arm = tau_rb + tau_friction, in all rows",
+            equation: "tau = delay (tau_arm(t - shift) - tau_arm(t)) / shift, tau_arm = tau_rb + tau_friction + tau_rotor, in all rows",
             settings: &[Setting {
                 name: "shift",
                 unit: "s",
@@ -76,22 +76,22 @@ fn columns(site: Site) -> Vec<Column> {
     vec![column("delay", site, "", "s")]
 }
 
-/// Rigid-body torque and friction of all joints.
+/// Torques of all joints.
 struct Arm {
     load: LoadUnder,
-    friction: CarriedFriction,
+    drives: Drives,
 }
 
 impl Arm {
     /// Of an operating point, under a gravity vector.
     fn of(operating_point: &OperatingPoint) -> impl Fn(&Vector3<f64>) -> Arm + Send + Sync + 'static {
-        let (load, friction) = (Arc::clone(&operating_point.load), CarriedFriction::of(operating_point));
-        move |gravity| Arm { load: load.under(gravity), friction }
+        let (load, drives) = (Arc::clone(&operating_point.load), Drives::of(operating_point));
+        move |gravity| Arm { load: load.under(gravity), drives }
     }
 
     fn torques(&mut self, sample: &Sample) -> JointVec {
         let mut torques = self.load.torque(sample);
-        torques.iter_mut().zip(self.friction.torques(sample)).for_each(|(torque, friction)| *torque += friction);
+        torques.iter_mut().zip(self.drives.torques(sample)).for_each(|(torque, drive)| *torque += drive);
         torques
     }
 }

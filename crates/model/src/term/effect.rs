@@ -4,8 +4,8 @@
 
 pub use super::catalogue::{FAMILIES, family};
 pub use super::family::{
-    Confounded, Expressions, Family, Form, InBodies, InC, Inputs, PartOf, Place, PlotOver, Rare, Scale, Setting, Site,
-    Spec, Stratum, WholeArm,
+    Confounded, Expressions, Family, Form, InBodies, InC, Inputs, Place, PlotOver, Rare, Scale, Setting, Site, Spec,
+    Stratum, WholeArm,
 };
 pub use super::load::OperatingPoint;
 pub use super::quantity::{Quantity, Results};

@@ -77,8 +77,6 @@ pub struct Rare {
     pub with_rotor: Option<&'static str>,
     /// Whether its parameter times the joint's rigid-body torque is a displacement.
     pub is_compliance: bool,
-    /// The effect that one of its forms can be a part of.
-    pub part_of: Option<PartOf>,
     /// The parameter of a stored model that a column of this effect changes, by the column's name.
     pub changed_parameter: fn(&str) -> &str,
     /// Reported quantities.
@@ -97,19 +95,9 @@ impl Rare {
         fits: |_, _| true,
         with_rotor: None,
         is_compliance: false,
-        part_of: None,
         changed_parameter: |name| name,
         quantities: quantity::own,
     };
-}
-
-/// A form that is part of another effect when its first coefficient is that effect's share of the cause's Coulomb friction.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct PartOf {
-    /// Name of the form.
-    pub form: &'static str,
-    /// Identity of the other family.
-    pub family: &'static str,
 }
 
 /// Location of an effect in the arm. Joints count from 0.
@@ -372,6 +360,8 @@ pub struct Inputs {
     pub other_sign: String,
     /// Rigid-body torque of the cause.
     pub load: String,
+    /// `fv dq + fc tanh(100 dq) + ia ddq` of the cause.
+    pub cause_drive: String,
 }
 
 /// The law needs earlier samples.

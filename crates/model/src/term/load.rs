@@ -106,6 +106,8 @@ pub struct OperatingPoint {
     pub load: Arc<Load>,
     /// `[fv, fc]` of each joint: \[Nms/rad\], \[Nm\]. Empty where the model has no friction.
     pub friction: Vec<[f64; 2]>,
+    /// Inertia of each joint's rotor where it is a parameter of its own, else 0 \[kg m2\]. Empty where the torques contain no rotors.
+    pub rotor_inertias: Vec<f64>,
     /// Whether the inertia of each joint's rotor is a part of its rigid body's.
     pub rotors: Vec<bool>,
 }

@@ -1,21 +1,32 @@
 //! Cross-talk of a torque sensor from another joint's torque.
 
+use super::carried::Drives;
 use super::family::*;
 use super::one_row::*;
 
-/// A share of another joint's rigid-body torque.
+/// A share of another joint's torque.
 pub static FAMILY: Family = Family {
     id: "torque-crosstalk",
     physics: "A torque sensor also deforms under loads across its axis and measures a part of them as torque.",
     place: Place::Pair,
-    forms: &[Form {
-        name: "",
-        equation: "tau_j = cross_j_k tau_rb_k",
-        settings: &[],
-        build,
-        in_c: InC::Columns(|at, _| vec![at.load.clone()]),
-        plot_over: PlotOver::Load,
-    }],
+    forms: &[
+        Form {
+            name: "",
+            equation: "tau_j = cross_j_k tau_rb_k",
+            settings: &[],
+            build: load,
+            in_c: InC::Columns(|at, _| vec![at.load.clone()]),
+            plot_over: PlotOver::Load,
+        },
+        Form {
+            name: "whole",
+            equation: "tau_j = cross_j_k (tau_rb_k + tau_friction_k + tau_rotor_k)",
+            settings: &[],
+            build: whole,
+            in_c: InC::Columns(|at, _| vec![format!("({} + {})", at.load, at.cause_drive)]),
+            plot_over: PlotOver::Load,
+        },
+    ],
     stratum: Stratum::Repeatable,
     typical: "0.5 to 3 % of the other joint's torque",
     confounded: &[
@@ -27,7 +38,18 @@ pub static FAMILY: Family = Family {
     rare: Rare::NONE,
 };
 
-fn build(operating_point: &OperatingPoint, site: Site, settings: &[f64]) -> Arc<dyn Term> {
+fn load(operating_point: &OperatingPoint, site: Site, settings: &[f64]) -> Arc<dyn Term> {
     let columns = vec![column("cross", site, "", "1")];
     OneRow::new(&FAMILY, "", site, settings, columns, |at, _| [at.load, 0.0, 0.0]).loaded(operating_point).term()
+}
+
+fn whole(operating_point: &OperatingPoint, site: Site, settings: &[f64]) -> Arc<dyn Term> {
+    let columns = vec![column("cross", site, "_whole", "1")];
+    let cause = match site {
+        Site::Pair { cause, .. } => cause,
+        _ => joint(site),
+    };
+    let drives = Drives::of(operating_point);
+    let law = move |at: &At, _: &Settings| [at.load + drives.at(at.cause.dq, at.cause.ddq, cause), 0.0, 0.0];
+    OneRow::new(&FAMILY, "whole", site, settings, columns, law).loaded(operating_point).term()
 }

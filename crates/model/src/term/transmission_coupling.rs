@@ -54,11 +54,7 @@ pub static FAMILY: Family = Family {
         confounded("Lxz and Lyz", "turn one of the two joints through a large angle between the runs"),
     ],
     reference: "Khalil, Dombre, Modeling, Identification and Control of Robots (2002), chapter 9",
-    rare: Rare {
-        between_coupled: true,
-        part_of: Some(PartOf { form: "friction", family: "torque-crosstalk" }),
-        ..Rare::NONE
-    },
+    rare: Rare { between_coupled: true, ..Rare::NONE },
 };
 
 fn friction(operating_point: &OperatingPoint, site: Site, settings: &[f64]) -> Arc<dyn Term> {

@@ -63,9 +63,6 @@ fn declarations_of_a_family_agree() {
     for family in FAMILIES {
         let id = family.id;
         assert!(family.stratum != Stratum::Reference || family.rare.may_change, "{id}");
-        if let Some(part) = family.rare.part_of {
-            assert!(family.form(part.form).is_some() && self::family(part.family).is_some(), "{id}");
-        }
         let last_link = family.rare.in_bodies == InBodies::LastLink;
         for spec in specs(family, 7, &mut rng) {
             let term = spec.build(&operating_point(&model)).unwrap();
@@ -131,8 +128,11 @@ fn rotors_that_have_no_parameter_of_their_own_are_in_the_rigid_body() {
     let chain = chain("panda");
     let rotors = |terms: &[&str]| {
         let structure = Structure::of(chain.clone(), Reduction::any_mounting(&chain), terms).unwrap().identifiable();
-        structure.operating_point(&vec![0.1; structure.columns().len()]).rotors
+        let operating_point = structure.operating_point(&vec![0.1; structure.columns().len()]);
+        (operating_point.rotors, operating_point.rotor_inertias)
     };
-    assert_eq!(rotors(&["friction", "rotor-inertia"]), [true, true, false, false, false, false, false]);
-    assert_eq!(rotors(&["friction"]), [false; 7]);
+    let (absorbed, inertias) = rotors(&["friction", "rotor-inertia"]);
+    assert_eq!(absorbed, [true, true, false, false, false, false, false]);
+    assert_eq!(inertias, [0.0, 0.0, 0.1, 0.1, 0.1, 0.1, 0.1]);
+    assert_eq!(rotors(&["friction"]), (vec![false; 7], Vec::new()));
 }

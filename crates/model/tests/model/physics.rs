@@ -10,7 +10,7 @@ use plumbline_testkit::arms::{chain, draw, torque};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-/// Columns of gain and cross-talk are the rigid-body torque of a joint.
+/// Columns of gain and cross-talk are the rigid-body torque of a joint; those of all that a sensor shows have friction and rotor beside it.
 #[test]
 fn gains_are_shares_of_the_rigid_bodys_torque() {
     let mut rng = ChaCha8Rng::seed_from_u64(6);
@@ -26,7 +26,26 @@ fn gains_are_shares_of_the_rigid_bodys_torque() {
             expected.set_column(row, &load.column(1));
             assert!((found - expected).amax() < 1e-11 * load.amax(), "{family} of {robot}");
         }
+        let operating_point = with_rotors(&model);
+        let spec = effect("torque-crosstalk", "whole", Site::Pair { row: 0, cause: 1 }, &[]);
+        let mut left = column_of(&operating_point, &spec, &motion, 0);
+        let expected = with_drive(&load, &operating_point, &motion, 1);
+        assert!((left.column(0) - &expected).amax() < 1e-11 * expected.amax(), "{robot}");
+        left.fill_column(0, 0.0);
+        assert_eq!(left.amax(), 0.0, "{robot}");
     }
+}
+
+/// A model whose torques contain rotors that are parameters of their own.
+fn with_rotors(model: &TorqueModel) -> OperatingPoint {
+    let joints = model.structure().chain().len();
+    OperatingPoint { rotor_inertias: (0..joints).map(|j| 0.3 + 0.1 * j as f64).collect(), ..operating_point(model) }
+}
+
+/// Rigid-body torque, N x n, friction and rotor of one joint together \[Nm\].
+fn with_drive(torque: &DMatrix<f64>, operating_point: &OperatingPoint, motion: &Motion, joint: usize) -> DVector<f64> {
+    with_friction(torque, operating_point, motion, joint)
+        + operating_point.rotor_inertias[joint] * motion.ddq.column(joint)
 }
 
 /// Laws by hand, at one sample each.
@@ -253,13 +272,13 @@ fn a_link_oscillates_on_its_gear() {
 fn a_delay_is_the_slope_of_the_torque() {
     let mut rng = ChaCha8Rng::seed_from_u64(9);
     let model = rigid_model("panda", &mut rng);
-    let operating_point = operating_point(&model);
+    let operating_point = with_rotors(&model);
     let motion = smooth_motion(&mut rng, 7, true, 40_000);
     let torque = load(&model, &motion);
     let spec = effect("delay", "", Site::Arm, &[]);
     let found = column_of(&operating_point, &spec, &motion, 0);
     for j in 0..7 {
-        let whole = with_friction(&torque, &operating_point, &motion, j);
+        let whole = with_drive(&torque, &operating_point, &motion, j);
         let (slope, _) = differences(whole.as_slice(), motion.dt);
         let expected = -DVector::from_vec(slope);
         let (difference, scale) = ((found.column(j) - &expected).amax(), expected.amax());
@@ -272,14 +291,14 @@ fn a_delay_is_the_slope_of_the_torque() {
 fn a_shifted_torque_is_that_of_an_earlier_time() {
     let mut rng = ChaCha8Rng::seed_from_u64(9);
     let model = rigid_model("panda", &mut rng);
-    let operating_point = operating_point(&model);
+    let operating_point = with_rotors(&model);
     let motion = smooth_motion(&mut rng, 7, true, 4000);
     let torque = load(&model, &motion);
     for shift in [0.003, 0.0165, 0.05] {
         let found = column_of(&operating_point, &effect("delay", "shifted", Site::Arm, &[shift]), &motion, 0);
         let late = |k: usize| (4000.0 + k as f64 - shift / motion.dt) % 4000.0;
         for j in 0..7 {
-            let both = with_friction(&torque, &operating_point, &motion, j);
+            let both = with_drive(&torque, &operating_point, &motion, j);
             let whole = |k: usize| both[k % 4000];
             let between = |at: f64| whole(at as usize) + at.fract() * (whole(at as usize + 1) - whole(at as usize));
             let expected = DVector::from_fn(4000, |k, _| between(late(k)) - whole(k)) / shift;
