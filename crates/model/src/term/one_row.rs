@@ -121,6 +121,11 @@ impl<L: Law> OneRow<L> {
         OneRow { expects: Expected::NotNegative, ..self }
     }
 
+    /// A law whose parameter is at most so large.
+    pub fn at_most(self, most: f64) -> OneRow<L> {
+        OneRow { expects: Expected::AtMost(most), ..self }
+    }
+
     pub fn term(self) -> Arc<dyn Term> {
         Arc::new(self)
     }

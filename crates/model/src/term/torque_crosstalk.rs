@@ -4,6 +4,9 @@ use super::carried::Drives;
 use super::family::*;
 use super::one_row::*;
 
+/// Largest share that a sensor measures of another joint's torque: more is a transmission that the two have in common.
+const MAX_SHARE: f64 = 0.1;
+
 /// A share of another joint's torque.
 pub static FAMILY: Family = Family {
     id: "torque-crosstalk",
@@ -40,7 +43,8 @@ pub static FAMILY: Family = Family {
 
 fn load(operating_point: &OperatingPoint, site: Site, settings: &[f64]) -> Arc<dyn Term> {
     let columns = vec![column("cross", site, "", "1")];
-    OneRow::new(&FAMILY, "", site, settings, columns, |at, _| [at.load, 0.0, 0.0]).loaded(operating_point).term()
+    let law = |at: &At, _: &Settings| [at.load, 0.0, 0.0];
+    OneRow::new(&FAMILY, "", site, settings, columns, law).loaded(operating_point).at_most(MAX_SHARE).term()
 }
 
 fn whole(operating_point: &OperatingPoint, site: Site, settings: &[f64]) -> Arc<dyn Term> {
@@ -51,5 +55,5 @@ fn whole(operating_point: &OperatingPoint, site: Site, settings: &[f64]) -> Arc<
     };
     let drives = Drives::of(operating_point);
     let law = move |at: &At, _: &Settings| [at.load + drives.at(at.cause.dq, at.cause.ddq, cause), 0.0, 0.0];
-    OneRow::new(&FAMILY, "whole", site, settings, columns, law).loaded(operating_point).term()
+    OneRow::new(&FAMILY, "whole", site, settings, columns, law).loaded(operating_point).at_most(MAX_SHARE).term()
 }
