@@ -120,7 +120,8 @@ impl Delivery<'_> {
 
     /// The effect that the model `after` must not have, and why: a parameter is below zero that can't be by its physics; its parameters are zero within
     /// their errors, and most joints have no such effect; its joint is predicted worse than by the plain model on unseen runs, or another one is and all
-    /// together are no worse without it; or it is unconfirmed, and its joint is not predicted better there, or all together are no worse without it.
+    /// together are no worse without it; or it is unconfirmed, and the joint that it shows most in is not predicted better there, nor surely its own, or all
+    /// together are no worse without it.
     fn reason(
         &self,
         selected: &Selected,
@@ -159,7 +160,11 @@ impl Delivery<'_> {
         let unconfirmed: Vec<usize> = candidates.iter().copied().filter(|&index| !confirmed[index]).collect();
         for &index in &unconfirmed {
             let joint = selected.found[index].relevance.joint;
-            if compared.change.validate_rms[joint] >= 0.0 {
+            // A link that swings on its gear may show most in the joint that carries it.
+            let rows = items[index].joints();
+            let mut own = items[index].spec.site.joints().into_iter().filter(|joint| rows.contains(joint));
+            let own_is_better = own.any(|joint| compared.change.intervals[joint][1] < 0.0);
+            if compared.change.validate_rms[joint] >= 0.0 && !own_is_better {
                 let words = words(&compared, joint);
                 return Some((index, format!("it is unconfirmed, and unseen runs are predicted no better: {words}")));
             }
