@@ -6,7 +6,7 @@ use super::evidence::{Evidence, Trial};
 use super::fit::inverse;
 use super::found::Found;
 use super::input::{Input, Settings};
-use super::library::Candidate;
+use super::library::{self, Candidate};
 use super::outcome::Fitted;
 use super::select::Selected;
 use super::state::State;
@@ -118,7 +118,7 @@ impl Delivery<'_> {
         }
     }
 
-    /// The effect that the model `after` must not have, and why: a parameter is below zero that can't be by its physics; its parameters are zero within
+    /// The effect that the model `after` must not have, and why: its parameters can't be by its physics; they are zero within
     /// their errors, and most joints have no such effect; its joint is predicted worse than by the plain model on unseen runs, or another one is and all
     /// together are no worse without it; or it is unconfirmed, and the joint that it shows most in is not predicted better there, nor surely its own, or all
     /// together are no worse without it.
@@ -135,8 +135,8 @@ impl Delivery<'_> {
         candidates.sort_by(|a, b| score(a).total_cmp(&score(b)));
         let seed = |item: &Candidate| self.seeds.iter().any(|seed| seed.alike(item));
         for &index in &candidates {
-            if let Some((name, value)) = negative(after, &items[index].spec) {
-                return Some((index, format!("{name} came out as {value:.3}, and it can't be below 0")));
+            if let Some(why) = implausible(after, &items[index].spec) {
+                return Some((index, why));
             }
             let least = if seed(&items[index]) { MIN_DEVIATIONS_OF_SEED } else { MIN_DEVIATIONS };
             if is_zero(after, &items[index].spec, least) && !selected.state.has_in_most_joints(&items[index]) {
@@ -324,14 +324,25 @@ fn own<'a>(fitted: &'a Fitted, columns: &'a [Column]) -> impl Iterator<Item = (&
         .map(|(column, (value, std))| (column, value, std))
 }
 
-/// A parameter of an effect that is below zero and can't be by its physics: name and value.
-fn negative(fitted: &Fitted, spec: &Spec) -> Option<(String, f64)> {
+/// Why the parameters of an effect can't be by its physics: below zero, or far from what its torque was computed with.
+fn implausible(fitted: &Fitted, spec: &Spec) -> Option<String> {
     let term = spec.build(&fitted.structure.operating_point(&fitted.identification.beta)).ok()?;
-    if !matches!(term.expects(), Expected::NotNegative | Expected::FirstSetting) {
+    let columns = term.columns();
+    let (names, values): (Vec<&str>, Vec<f64>) =
+        own(fitted, &columns).map(|(column, value, _)| (&*column.name, value)).unzip();
+    if library::allows(term.expects(), &spec.settings, &values) {
         return None;
     }
-    let columns = term.columns();
-    own(fitted, &columns).find(|(_, value, _)| *value < 0.0).map(|(column, value, _)| (column.name.clone(), value))
+    let (name, value) = names.into_iter().zip(values).max_by(|a, b| a.1.abs().total_cmp(&b.1.abs()))?;
+    let why = match (term.expects(), spec.settings.first()) {
+        (Expected::FirstSetting, Some(setting)) if value > 0.0 => {
+            return Some(format!("{name} came out as {value:.2e}, and its torque was computed with {setting:.2e}"));
+        }
+        (Expected::AtMost(_), _) => "it can't be as large",
+        _ => "it can't be below 0",
+    };
+    let digits = if value.abs() < 1e-3 { format!("{value:.2e}") } else { format!("{value:.3}") };
+    Some(format!("{name} came out as {digits}, and {why}"))
 }
 
 /// Whether every linear parameter of an effect is within so many standard deviations of zero.

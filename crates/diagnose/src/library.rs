@@ -29,6 +29,25 @@ pub struct Candidate {
 /// Largest ratio of a parameter to the setting that its column was evaluated at, or its inverse; or to the largest expected.
 const MAX_PARAMETER_RATIO: f64 = 2.0;
 
+/// Plausibility of an effect's parameters, 0 to 1: 0 for a negative gap, less than 1 for a gap that differs from the setting that its column was evaluated
+/// at, and for an encoder that is off by more than its column is good for.
+fn plausibility(expected: Expected, settings: &[f64], parameters: &[f64]) -> f64 {
+    match (expected, parameters, settings.first()) {
+        (Expected::NotNegative, &[parameter], _) if parameter < 0.0 => 0.0,
+        (Expected::FirstSetting, &[parameter], Some(value)) => (parameter / value).min(value / parameter).max(0.0),
+        (Expected::AtMost(most), _, _) => {
+            let largest = parameters.iter().fold(0.0, |largest: f64, parameter| largest.max(parameter.abs()));
+            (most / largest).min(1.0)
+        }
+        _ => 1.0,
+    }
+}
+
+/// Whether these parameters of an effect are plausible enough for it to be selected.
+pub fn allows(expected: Expected, settings: &[f64], parameters: &[f64]) -> bool {
+    plausibility(expected, settings, parameters) * MAX_PARAMETER_RATIO >= 1.0
+}
+
 impl Candidate {
     /// Evaluates the columns; `None` when they can't be built or are zero in this data.
     pub fn of(evidence: &Evidence, operating_point: &OperatingPoint, spec: Spec, span: Span) -> Option<Candidate> {
@@ -55,23 +74,14 @@ impl Candidate {
         (!rows.is_empty()).then(|| Candidate { rows, span, ..self.clone() })
     }
 
-    /// Plausibility of the parameters, 0 to 1: 0 for a negative gap, less than 1 for a gap that differs from the setting that its column was evaluated
-    /// at, and for an encoder that is off by more than its column is good for.
+    /// [`plausibility`] of the parameters.
     pub fn plausibility(&self, parameters: &[f64]) -> f64 {
-        match (self.expected, parameters, self.spec.settings.first()) {
-            (Expected::NotNegative, &[parameter], _) if parameter < 0.0 => 0.0,
-            (Expected::FirstSetting, &[parameter], Some(value)) => (parameter / value).min(value / parameter).max(0.0),
-            (Expected::AtMost(most), _, _) => {
-                let largest = parameters.iter().fold(0.0, |largest: f64, parameter| largest.max(parameter.abs()));
-                (most / largest).min(1.0)
-            }
-            _ => 1.0,
-        }
+        plausibility(self.expected, &self.spec.settings, parameters)
     }
 
     /// Whether these parameters are plausible enough for the candidate to be selected.
     pub fn allows(&self, parameters: &[f64]) -> bool {
-        self.plausibility(parameters) * MAX_PARAMETER_RATIO >= 1.0
+        allows(self.expected, &self.spec.settings, parameters)
     }
 
     /// Number of parameters: linear and nonlinear, the begin of a part among them.

@@ -209,6 +209,46 @@ fn an_effect_whose_parameters_are_zero_within_two_deviations_is_withheld_and_a_s
 }
 
 #[test]
+fn an_effect_whose_parameter_is_far_from_what_its_torque_was_computed_with_goes() {
+    let (identify, veto) = (recorded(2, 63, |_| [0.0; 2]), recorded(1, 64, |_| [0.0; 2]));
+    let gear = Spec { form: "swinging", settings: vec![1e-3, 5.0], ..spec("joint-elasticity", 1) };
+    let encoder = spec("encoder-offset", 1);
+    for (spec, value, words) in [
+        (&gear, 3e-4, "compliance2 came out as 3.00e-4, and its torque was computed with 1.00e-3"),
+        (&gear, 3e-3, "compliance2 came out as 3.00e-3, and its torque was computed with 1.00e-3"),
+        (&gear, -1e-4, "compliance2 came out as -1.00e-4, and it can't be below 0"),
+        (&gear, 6e-4, ""),
+        (&encoder, -0.2, "zero2 came out as -0.200, and it can't be as large"),
+        (&encoder, -0.08, ""),
+    ] {
+        Case::of(&identify, &veto).deliver(&[(spec.clone(), Span::ALL, 9.0)], |delivery, selected| {
+            let after = model_with(delivery, &[(spec.clone(), value)]);
+            let why = implausible(&after, spec).unwrap_or_default();
+            assert_eq!(why, words, "{value}");
+            let reason = delivery.reason(selected, &[true], &after, &[true]);
+            assert!(why.is_empty() || reason == Some((0, why)), "{value}: {reason:?}");
+        });
+    }
+}
+
+#[test]
+fn an_unconfirmed_effect_that_shows_most_in_another_joint_may_make_its_own_better() {
+    let identify = recorded(2, 65, |_| [0.0; 2]);
+    let effects = [(spec("torque-offset", 1), Span::ALL, 9.0)];
+    for (truth, withheld) in [(0.06, false), (-0.1, true)] {
+        let veto = recorded(2, 66, tone_and_offset(truth));
+        Case::of(&identify, &veto).deliver(&effects, |delivery, selected| {
+            let after = model_with(delivery, &[(spec("torque-offset", 1), 0.1)]);
+            let relevance = Relevance { joint: 0, ..selected.found[0].relevance.clone() };
+            let found = vec![Found { relevance, ..selected.found[0].clone() }];
+            let selected = Selected { state: selected.state.clone(), found, path: vec![], first: vec![] };
+            let why = delivery.reason(&selected, &[true], &after, &[false]);
+            assert_eq!(why.is_some(), withheld, "offset {truth} Nm: {why:?}");
+        });
+    }
+}
+
+#[test]
 fn an_unconfirmed_effect_is_delivered_where_its_joint_is_predicted_better_alone() {
     let identify = recorded(2, 65, |_| [0.0; 2]);
     let effects = [(spec("torque-offset", 1), Span::ALL, 9.0)];
