@@ -2,7 +2,7 @@
 
 use crate::models::{effect, operating_point, rigid_model, specs};
 use plumbline_model::term::effect::{
-    Confounded, FAMILIES, InBodies, InC, Inputs, Place, PlotOver, Site, Stratum, assemble, family,
+    Confounded, FAMILIES, InBodies, InC, Inputs, Place, PlotOver, Site, Stratum, assemble,
 };
 use plumbline_model::term::payload;
 use plumbline_model::{Reduction, Structure};
