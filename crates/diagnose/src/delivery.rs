@@ -30,6 +30,8 @@ const MAX_WORSENING_RATIO: f64 = 0.05;
 const MIN_DEVIATIONS: f64 = 2.0;
 /// The same of what the search started with in unknown noise, so that no gate has looked at it.
 const MIN_DEVIATIONS_OF_SEED: f64 = 3.0;
+/// Evidence over its penalty from which on an effect that no other trajectory shows needs none.
+const BEYOND_DOUBT_RATIO: f64 = 8.0;
 /// Largest change of a parameter, in its standard deviations, at which the operating point has converged.
 const SETTLED_DEVIATIONS: f64 = 0.1;
 
@@ -120,8 +122,8 @@ impl Delivery<'_> {
 
     /// The effect that the model `after` must not have, and why: its parameters can't be by its physics; they are zero within
     /// their errors, and most joints have no such effect; its joint is predicted worse than by the plain model on unseen runs, or another one is and all
-    /// together are no worse without it; or it is unconfirmed, and the joint that it shows most in is not predicted better there, nor surely its own, or all
-    /// together are no worse without it.
+    /// together are no worse without it; or it is unconfirmed and not beyond doubt, and the joint that it shows most in is not predicted better there, nor surely
+    /// its own, or all together are no worse without it.
     fn reason(
         &self,
         selected: &Selected,
@@ -157,7 +159,12 @@ impl Delivery<'_> {
                 return Some((*index, why));
             }
         }
-        let unconfirmed: Vec<usize> = candidates.iter().copied().filter(|&index| !confirmed[index]).collect();
+        // One trajectory may be the only one that shows an effect, and against known noise show it beyond doubt.
+        let doubtful = |index: &usize| {
+            let Found { evidence, penalty, .. } = selected.found[*index];
+            !confirmed[*index] && !(self.knows_noise() && evidence > BEYOND_DOUBT_RATIO * penalty)
+        };
+        let unconfirmed: Vec<usize> = candidates.iter().copied().filter(doubtful).collect();
         for &index in &unconfirmed {
             let joint = selected.found[index].relevance.joint;
             // A link that swings on its gear may show most in the joint that carries it.
@@ -229,6 +236,11 @@ impl Delivery<'_> {
         errors::compare(&pairs, self.settings.judged_by)
     }
 
+    /// Whether all runs to identify from repeat.
+    fn knows_noise(&self) -> bool {
+        self.equations.experiments().iter().all(|experiment| experiment.scatter.is_some())
+    }
+
     /// Standard deviation of each joint's residual under the model that the search starts from, where the noise is not known; `None` where it is, or another
     /// estimator is asked for.
     ///
@@ -236,8 +248,7 @@ impl Delivery<'_> {
     /// it shares with the others would follow what it still lacks.
     fn weights(&self, state: &State) -> Result<Option<Vec<f64>>, EstimateError> {
         let Delivery { input, equations, seeds, .. } = *self;
-        let known = equations.experiments().iter().all(|experiment| experiment.scatter.is_some());
-        if input.options.estimator != Estimator::Wls || known {
+        if input.options.estimator != Estimator::Wls || self.knows_noise() {
             return Ok(None);
         }
         let specs: Vec<Spec> = seeds.iter().map(|seed| seed.spec.clone()).collect();
