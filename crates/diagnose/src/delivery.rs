@@ -122,8 +122,8 @@ impl Delivery<'_> {
 
     /// The effect that the model `after` must not have, and why: its parameters can't be by its physics; they are zero within
     /// their errors, and most joints have no such effect; its joint is predicted worse than by the plain model on unseen runs, or another one is and all
-    /// together are no worse without it; or it is unconfirmed and not beyond doubt, and the joint that it shows most in is not predicted better there, nor surely
-    /// its own, or all together are no worse without it.
+    /// together are no worse without it; or it is unconfirmed and not beyond doubt, and the joint that it shows most in is not predicted better there,
+    /// nor surely its own, or all together are no worse without it.
     fn reason(
         &self,
         selected: &Selected,
@@ -162,7 +162,8 @@ impl Delivery<'_> {
         // One trajectory may be the only one that shows an effect, and against known noise show it beyond doubt.
         let doubtful = |index: &usize| {
             let Found { evidence, penalty, .. } = selected.found[*index];
-            !confirmed[*index] && !(self.knows_noise() && evidence > BEYOND_DOUBT_RATIO * penalty)
+            let beyond_doubt = self.knows_noise() && evidence > BEYOND_DOUBT_RATIO * penalty;
+            !confirmed[*index] && !beyond_doubt
         };
         let unconfirmed: Vec<usize> = candidates.iter().copied().filter(doubtful).collect();
         for &index in &unconfirmed {

@@ -76,8 +76,8 @@ pub fn with_payload(model: &TorqueModel, bodies: &Nearest) -> Result<Nearest, Li
     Ok(bodies)
 }
 
-/// Column `c` of an effect as a value of the program, and its row; `load` has the rigid-body torques. `None` for an effect that [`notes_of_c`] names, and for one
-/// that is part of the rigid bodies.
+/// Column `c` of an effect as a value of the program, and its row; `load` has the rigid-body torques. `None` for an effect that [`notes_of_c`] names, and for
+/// one that is part of the rigid bodies.
 pub(super) fn column(
     program: &mut Program,
     spec: &Spec,
