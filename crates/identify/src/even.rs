@@ -2,7 +2,8 @@
 
 use super::EstimateError;
 use super::faults::{interpolate, spoiled};
-use super::periods::{Beside, Scatter, average, centre, fill, weights};
+use super::gaps::{Beside, fill};
+use super::periods::{Scatter, average, centre, weights};
 use super::run::Run;
 use super::settings::Settings;
 use super::settling::settling;

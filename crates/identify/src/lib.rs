@@ -56,6 +56,7 @@ mod even;
 mod experiment;
 pub mod external;
 mod faults;
+mod gaps;
 mod mounting_check;
 pub mod payload;
 mod periods;

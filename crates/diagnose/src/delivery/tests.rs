@@ -100,6 +100,12 @@ impl<'r> Case<'r> {
     }
 }
 
+/// The same with another account of how its only effect was found.
+fn found_as(selected: &Selected, account: impl FnOnce(Found) -> Found) -> Selected {
+    let found = vec![account(selected.found[0].clone())];
+    Selected { state: selected.state.clone(), found, path: vec![], first: vec![] }
+}
+
 /// The true model with these effects and parameters.
 fn model_with(delivery: &Delivery, effects: &[(Spec, f64)]) -> Fitted {
     let plain = delivery.input.structure;
@@ -240,8 +246,7 @@ fn an_unconfirmed_effect_that_shows_most_in_another_joint_may_make_its_own_bette
         Case::of(&identify, &veto).deliver(&effects, |delivery, selected| {
             let after = model_with(delivery, &[(spec("torque-offset", 1), 0.1)]);
             let relevance = Relevance { joint: 0, ..selected.found[0].relevance.clone() };
-            let found = vec![Found { relevance, ..selected.found[0].clone() }];
-            let selected = Selected { state: selected.state.clone(), found, path: vec![], first: vec![] };
+            let selected = found_as(selected, |found| Found { relevance, ..found });
             let why = delivery.reason(&selected, &[true], &after, &[false]);
             assert_eq!(why.is_some(), withheld, "offset {truth} Nm: {why:?}");
         });
@@ -257,8 +262,7 @@ fn an_unconfirmed_effect_is_delivered_where_known_noise_leaves_no_doubt() {
     for (identify, evidence, withheld) in [(&repeated, 81.0, false), (&repeated, 79.0, true), (&single, 81.0, true)] {
         Case::of(identify, &veto).deliver(&effects, |delivery, selected| {
             let after = model_with(delivery, &[(spec("torque-offset", 1), 0.1)]);
-            let found = vec![Found { evidence, penalty: 10.0, ..selected.found[0].clone() }];
-            let selected = Selected { state: selected.state.clone(), found, path: vec![], first: vec![] };
+            let selected = found_as(selected, |found| Found { evidence, penalty: 10.0, ..found });
             let why = delivery.reason(&selected, &[true], &after, &[false]);
             assert_eq!(why.is_some(), withheld, "evidence {evidence}: {why:?}");
         });

@@ -129,16 +129,16 @@ impl<L: Law> OneRow<L> {
     pub fn term(self) -> Arc<dyn Term> {
         Arc::new(self)
     }
+}
 
-    /// Row and cause.
-    fn joints(&self) -> (usize, usize) {
-        match self.spec.site {
-            Site::Pair { row, cause } => (row, cause),
-            Site::Joint(joint) => (joint, joint),
-            // No law of one row is a function of two joints.
-            Site::Function { row, of: [cause, _] } => (row, cause),
-            Site::Arm => (0, 0),
-        }
+/// Row and cause.
+pub(super) fn row_and_cause(site: Site) -> (usize, usize) {
+    match site {
+        Site::Pair { row, cause } => (row, cause),
+        Site::Joint(joint) => (joint, joint),
+        // No law of one row is a function of two joints.
+        Site::Function { row, of: [cause, _] } => (row, cause),
+        Site::Arm => (0, 0),
     }
 }
 
@@ -164,7 +164,7 @@ impl<L: Law> Term for OneRow<L> {
     }
 
     fn fill(&self, _chain: &Chain, motion: &Motion, y: &mut DMatrix<f64>, first: usize) {
-        let ((row, cause), samples) = (self.joints(), motion.samples());
+        let ((row, cause), samples) = (row_and_cause(self.spec.site), motion.samples());
         let load = self.load.as_ref().map(|load| load.along(motion));
         let point = |j: usize, k: usize| Point { q: motion.q[(k, j)], dq: motion.dq[(k, j)], ddq: motion.ddq[(k, j)] };
         for k in 0..samples {
@@ -189,7 +189,7 @@ impl<L: Law> Term for OneRow<L> {
         if !self.family.is_served() {
             return Box::new(Nothing);
         }
-        let (row, cause) = self.joints();
+        let (row, cause) = row_and_cause(self.spec.site);
         let load = self.load.as_ref().map(|load| load.under(gravity));
         let mut own = [0.0; MAX_COLUMNS];
         own[..beta.len()].copy_from_slice(beta);

@@ -49,11 +49,7 @@ fn load(operating_point: &OperatingPoint, site: Site, settings: &[f64]) -> Arc<d
 
 fn whole(operating_point: &OperatingPoint, site: Site, settings: &[f64]) -> Arc<dyn Term> {
     let columns = vec![column("cross", site, "_whole", "1")];
-    let cause = match site {
-        Site::Pair { cause, .. } => cause,
-        _ => joint(site),
-    };
-    let drives = Drives::of(operating_point);
+    let (drives, (_, cause)) = (Drives::of(operating_point), row_and_cause(site));
     let law = move |at: &At, _: &Settings| [at.load + drives.at(at.cause.dq, at.cause.ddq, cause), 0.0, 0.0];
     OneRow::new(&FAMILY, "whole", site, settings, columns, law).loaded(operating_point).at_most(MAX_SHARE).term()
 }
