@@ -212,9 +212,15 @@ impl Missing<'_> {
         let others =
             |row: usize| (row % samples..rows).step_by(samples).filter(move |&other| other != row && !long[other]);
         let settled = |row: usize| others(row).any(|other| !left_out[other]);
-        // A start that has not settled has the course of the torques between both ends.
+        // A start that has not settled has the course of the torques between both ends, of a gap that goes from the end of a period into the next as well.
         let no_line = long_stretches(spoiled.to_vec(), dt, MAX_CURVE_S);
-        let open: Vec<bool> = (0..rows).map(|row| no_line[row] && !found[row] && !settled(row)).collect();
+        let joined: Vec<bool> = (0..rows).map(|row| no_line[row] && !found[row]).collect();
+        let (mut open, mut first) = (vec![false; rows], 0);
+        for stretch in joined.chunk_by(|a, b| a == b) {
+            let own = first..first + stretch.len();
+            first = own.end;
+            open[own.clone()].fill(stretch[0] && own.into_iter().any(|row| !settled(row)));
+        }
         let at_last = fill(values, &open, &either(long, spoiled), samples, Beside::Line(beside));
         let mut replaced = 0;
         for row in (0..rows).filter(|&row| spoiled[row]) {
