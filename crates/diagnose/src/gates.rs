@@ -8,7 +8,7 @@ use super::outcome;
 use super::rows::Rows;
 use super::state::{State, Tried, mean_square_below};
 use nalgebra::DVector;
-use plumbline_model::term::effect::{OperatingPoint, Setting, Site};
+use plumbline_model::term::effect::{Setting, Site};
 
 /// A fold is informative between these shares of the fitted effect's energy: below, the effect hardly shows in it; above, it is the only fold
 /// in which the effect shows.
@@ -26,8 +26,6 @@ const MAX_LAG: usize = 2;
 const CRITICAL: [f64; 4] = [1.96, 2.9694, 0.4160, -0.5324];
 /// A displacement above this share of its range, from its least to its largest value, is at the range's end.
 const MAX_SETTING_SHARE: f64 = 0.99;
-/// Least amplitude of a compliance's displacement, as of a sine, in steps of the encoder.
-const MIN_COMPLIANCE_STEPS: f64 = 2.0;
 /// Largest share by which the mean square of any joint may rise on folds left out, where the noise is unknown.
 const MAX_LEFT_OUT_LOSS_RATIO: f64 = 0.3;
 
@@ -319,20 +317,6 @@ pub fn matters(evidence: &Evidence, found: &Relevance, settings: &super::Setting
         false => sizes.iter().any(|size| *size >= 1.0),
     };
     enough(all.collect()) || enough(low.collect())
-}
-
-/// Whether a compliance displaces its joint by [`MIN_COMPLIANCE_STEPS`] of the encoder. One that does not is a low-pass of the model's torque, which takes
-/// the encoder's rounding out of it whatever the gear does.
-pub fn is_resolved(evidence: &Evidence, operating_point: &OperatingPoint, item: &Candidate, compliance: f64) -> bool {
-    let is_compliance = item.spec.family().is_ok_and(|family| family.rare.is_compliance);
-    let Site::Joint(joint) = item.spec.site else { return true };
-    if !is_compliance || !evidence.repeats() {
-        return true;
-    }
-    let variance = |run: usize| operating_point.load.along(evidence.motion(run)).column(joint).variance();
-    let runs = evidence.experiments();
-    let torque = ((0..runs).map(variance).sum::<f64>() / runs as f64).sqrt();
-    compliance.abs() * torque * 2f64.sqrt() > MIN_COMPLIANCE_STEPS * evidence.encoder_step(joint)
 }
 
 /// Whether the data show how large a displacement is: one within a step of the encoder can't be told from its rounding, which repeats in every period and

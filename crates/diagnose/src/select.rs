@@ -166,9 +166,7 @@ impl<'a> Search<'a> {
     /// Whether a candidate passes every gate. An effect of [most joints](State::has_in_most_joints) has to show alone, as has one that another joint has
     /// where its evidence is [twice its cost](Scored::is_clear). What the identified runs hardly show, the unseen ones may [prove](Deciding::prove).
     fn passes(&self, at: &At<'_, 'a>, one: &Scored) -> bool {
-        let parameter = one.tried.fit.theta.as_slice().last().copied().unwrap_or_default();
-        let resolved = || gates::is_resolved(self.evidence(), self.operating_point, &one.item, parameter);
-        if one.score <= 0.0 || !gates::shows(self.evidence(), &one.item) || !resolved() {
+        if one.score <= 0.0 || !gates::shows(self.evidence(), &one.item) {
             return false;
         }
         let state = at.state;

@@ -5,7 +5,7 @@ mod resolution;
 use super::EstimateError;
 use super::differentiate::Differentiator;
 use super::even::Even;
-use super::faults::resolution;
+use super::faults;
 use super::periods::{NoiseOfMean, Scatter, centre, mean};
 use super::run::Run;
 use super::settings::Settings;
@@ -50,6 +50,8 @@ pub struct Experiment {
     pub position_noise: Option<Vec<f64>>,
     /// Smallest step between two positions of the recording, n \[rad\]: the resolution of a coarse encoder.
     pub resolution: Vec<f64>,
+    /// Share of the positions' power at each frequency that is motion and no noise, bins x n; none without repeats.
+    motion_shares: DMatrix<f64>,
     /// Every period's deviation from the mean, where the settings keep it.
     pub repeats: Option<Repeats>,
     /// The desired motion on the same grid, filtered alike; where it was given.
@@ -71,8 +73,10 @@ pub struct Experiment {
     recorded_scatter: Option<Scatter>,
     /// Torque of a drift that `tau` is without, N x n \[Nm\].
     drift: Option<DMatrix<f64>>,
-    /// Unfiltered positions on the even grid, ends included \[rad\].
+    /// Positions on the even grid before the low-pass, ends included; of the mean of several periods without their noise \[rad\].
     q: DMatrix<f64>,
+    /// What the measured positions have besides, on the same grid \[rad\].
+    noise_taken_off: DMatrix<f64>,
     /// Measured velocities on the same grid \[rad/s\], where velocities and accelerations are computed from them.
     dq: Option<DMatrix<f64>>,
     differentiator: Differentiator,
@@ -124,7 +128,13 @@ impl Experiment {
         let (n, samples, dt) = (run.joints(), values.nrows(), sampling.dt);
         let rate = 1.0 / dt;
         let filter = Butterworth::new(settings.order, settings.torque_cutoff, rate)?;
-        let q = values.columns(0, n).into_owned();
+        let steps: Vec<f64> =
+            run.q.column_iter().map(|column| faults::resolution(column.as_slice()).unwrap_or(0.0)).collect();
+        let measured = values.columns(0, n).into_owned();
+        let (q, motion_shares) = match &scatter {
+            Some(scatter) => resolution::denoised(&measured, scatter, &steps),
+            None => (measured.clone(), DMatrix::zeros(0, n)),
+        };
         let largest = |each: &mut dyn Iterator<Item = f64>| each.fold(0.0, f64::max);
         let noise = match &scatter {
             Some(scatter) => largest(&mut scatter.std[..n].iter().copied()) / (scatter.periods as f64).sqrt(),
@@ -172,7 +182,8 @@ impl Experiment {
                 mean: values.view((edge, n), (count, n)).into_owned(),
                 counted,
             }),
-            resolution: run.q.column_iter().map(|column| resolution(column.as_slice()).unwrap_or(0.0)).collect(),
+            resolution: steps,
+            motion_shares,
             position_noise: scatter.as_ref().map(|scatter| scatter.std[..n].to_vec()),
             scatter: scatter.map(|scatter| scatter.select(n..2 * n)),
             desired: None,
@@ -185,6 +196,7 @@ impl Experiment {
             filter,
             recorded_scatter,
             drift: None,
+            noise_taken_off: measured - &q,
             q,
             dq,
             differentiator,
@@ -287,7 +299,7 @@ impl Experiment {
         (motion_of(differentiator, &self.q, self.dq.as_ref(), 0), self.edge)
     }
 
-    /// The motion for perturbed positions: `offset` is added to the measured ones on the whole grid, N x n \[rad\].
+    /// The motion for perturbed positions: `offset` is added to those of the motion on the whole grid, N x n \[rad\].
     pub fn moved(&self, offset: &DMatrix<f64>) -> Motion {
         let mut moved = self.differentiator.motion(&(&self.q + offset), self.edge);
         if self.dq.is_some() {
@@ -295,6 +307,11 @@ impl Experiment {
             moved.ddq.copy_from(&self.motion.ddq);
         }
         moved
+    }
+
+    /// The same from the positions with all of their noise.
+    pub fn moved_as_measured(&self, offset: &DMatrix<f64>) -> Motion {
+        self.moved(&(offset + &self.noise_taken_off))
     }
 
     /// Shape of the positions on the whole grid, ends included.

@@ -265,42 +265,6 @@ fn a_displacement_within_a_step_of_the_encoder_or_at_the_end_of_its_range_is_not
     });
 }
 
-/// Whether an effect of this family, in this joint, with this parameter, is resolved.
-type Resolved<'a> = dyn Fn(&str, usize, f64) -> bool + 'a;
-
-#[test]
-fn a_compliance_that_displaces_its_joint_by_less_than_two_steps_is_not_resolved() {
-    let families: [&Family; 2] = [family("joint-elasticity").unwrap(), &spring::FAMILY];
-    let look = |recorded: &mut Recorded, of: &dyn Fn(&Resolved, f64)| {
-        recorded.experiments.iter_mut().for_each(|experiment| experiment.resolution = vec![0.0, 1e-3]);
-        recorded.search(&families, &Settings::default(), |search, _| {
-            let evidence = search.problem.evidence;
-            let runs = 0..evidence.experiments();
-            let square = |run: usize| {
-                let load = search.operating_point.load.along(evidence.motion(run));
-                let tau = load.column(1);
-                tau.iter().map(|value| (value - tau.mean()).powi(2)).sum::<f64>() / tau.len() as f64
-            };
-            let amplitude = (2.0 * runs.clone().map(square).sum::<f64>() / runs.len() as f64).sqrt();
-            let resolved = |family: &str, joint: usize, compliance: f64| {
-                let own = |item: &&Candidate| item.spec.family == family && item.spec.site == Site::Joint(joint);
-                let item = search.library.iter().find(own).unwrap();
-                is_resolved(evidence, search.operating_point, item, compliance)
-            };
-            of(&resolved, 2e-3 / amplitude);
-        });
-    };
-    look(&mut recorded(2, 84, |_| [0.0; 2]), &|resolved, least| {
-        assert!(!resolved("joint-elasticity", 1, 0.99 * least) && resolved("joint-elasticity", 1, 1.01 * least));
-        assert!(resolved("joint-elasticity", 1, -1.01 * least), "a sign is for another gate");
-        assert!(resolved("joint-elasticity", 0, 1e-3 * least), "the encoder of joint 1 has no steps");
-        assert!(resolved("spring", 1, 1e-3 * least));
-    });
-    look(&mut once(60.0, 84, |_| [0.0; 2]), &|resolved, least| {
-        assert!(resolved("joint-elasticity", 1, 1e-3 * least), "without repeats the rounding is not known");
-    });
-}
-
 #[test]
 fn at_the_very_limit_three_quarters_agree_and_a_fifth_is_enough_and_a_penalty_is_not() {
     let good =

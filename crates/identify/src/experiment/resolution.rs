@@ -16,13 +16,50 @@ const MAX_WAVES: i32 = 50;
 /// Bisections for the motion behind rounded positions.
 const DITHER_BISECTIONS: usize = 30;
 
+/// Neighbours on each side of a frequency whose power is averaged with its own.
+const NEIGHBOURS: usize = 4;
+
+/// Positions of a mean period without what is noise of the encoders, N x n \[rad\], and the share `G` of each frequency's power that is motion, bins x n:
+///
+///   Q_m -> G_m Q_m,   G_m = max(0, 1 - N_m / S_m),   N_m = scatter_m / P + kept^2 delta^2 / 12
+///
+/// with the mean power `S_m` of `Q` at `m` and its neighbours (Wiener's filter). The motion differs from it by an error of the power `G_m N_m` that is
+/// independent of it. Of positions as measured the error is part of them, and dilutes every column of high derivatives: a soft gear would be like a low-pass that
+/// takes the rounding out of the model's torque. `scatter` has the positions' columns first.
+pub(super) fn denoised(q: &DMatrix<f64>, scatter: &Scatter, steps: &[f64]) -> (DMatrix<f64>, DMatrix<f64>) {
+    let spectral = Spectral::new(scatter.samples, scatter.dt);
+    let kept = kept(steps, &scatter.std);
+    let (mut denoised, mut shares) = (q.clone(), DMatrix::from_element(spectral.bins(), q.ncols(), 1.0));
+    for (j, mut column) in denoised.column_iter_mut().enumerate() {
+        let mut spectrum = spectral.transform(column.as_slice());
+        let power: Vec<f64> = spectrum.iter().map(|value| value.norm_sqr() / scatter.samples as f64).collect();
+        let rounding = (kept[j] * steps[j]).powi(2) / 12.0;
+        for (m, value) in spectrum.iter_mut().enumerate().skip(1) {
+            let around = m.saturating_sub(NEIGHBOURS).max(1)..(m + NEIGHBOURS + 1).min(power.len());
+            let mean = |of: &dyn Fn(usize) -> f64| around.clone().map(of).sum::<f64>() / around.len() as f64;
+            let noise = mean(&|m| scatter.power[(m, j)]) / scatter.periods as f64 + rounding;
+            shares[(m, j)] = (1.0 - noise / mean(&|m| power[m]).max(f64::MIN_POSITIVE)).max(0.0);
+            *value *= shares[(m, j)];
+        }
+        column.copy_from_slice(&spectral.signal(spectrum));
+    }
+    (denoised, shares)
+}
+
+/// Share of the amplitude of a rounding error that repeats in every period, per joint: motions that differ between periods by `sigma` dither a step
+/// `delta`, which leaves `exp(-(2 pi sigma / delta)^2)` of the power (Widrow, Kollar, Quantization Noise, 2008).
+fn kept(steps: &[f64], noise: &[f64]) -> Vec<f64> {
+    let kept = |(step, noise): (&f64, &f64)| (-0.5 * (2.0 * PI * dither(*noise, *step) / step).powi(2)).exp();
+    steps.iter().zip(noise).map(|(step, noise)| if *step > 0.0 { kept((step, noise)) } else { 0.0 }).collect()
+}
+
 impl Experiment {
     /// Puts into [`Scatter::repeated`] what the resolution of the encoders does to the model's torque. A motion that repeats within one step of an encoder
     /// is rounded alike in every period: no scatter between periods shows it, and no mean removes it. `predict` gives the torques along a motion.
     ///
     /// The motion behind the torques' low-pass, in which the steps are hardly left, is rounded once more: the torque of the difference has the
-    /// spectrum of the error. How much there is depends on where the steps are: it is that of the worst of several places. Motions that differ between
-    /// periods by `sigma` dither a step `delta`, which leaves `exp(-(2 pi sigma / delta)^2)` of the power (Widrow, Kollar, Quantization Noise, 2008).
+    /// spectrum of the error, of which [`denoised`] positions keep a share. How much there is depends on where the steps are: it is that of the worst of
+    /// several places.
     pub fn add_resolution(&mut self, predict: impl Fn(&Motion) -> DMatrix<f64>) {
         let (Some(scatter), Some(noise)) = (&self.scatter, &self.position_noise) else { return };
         let mut spectral = Spectral::new(scatter.samples, scatter.dt);
@@ -31,18 +68,23 @@ impl Experiment {
             let smooth = self.filter.zero_phase_periodic(&mut spectral, column.as_slice());
             column.copy_from_slice(&smooth);
         }
-        let kept = |(step, noise): (&f64, &f64)| (-0.5 * (2.0 * PI * dither(*noise, *step) / step).powi(2)).exp();
-        let kept: Vec<f64> = self.resolution.iter().zip(noise).map(kept).collect();
-        let rounded = |shift: f64| {
-            DMatrix::from_fn(q.nrows(), q.ncols(), |k, j| {
+        let kept = kept(&self.resolution, noise);
+        let rounded = |shift: f64, spectral: &mut Spectral| {
+            let mut error = DMatrix::from_fn(q.nrows(), q.ncols(), |k, j| {
                 let step = self.resolution[j];
                 let steps = q[(k, j)] / step;
                 if step > 0.0 { kept[j] * step * ((steps + shift).round() - shift - steps) } else { 0.0 }
-            })
+            });
+            for (mut error, shares) in error.column_iter_mut().zip(self.motion_shares.column_iter()) {
+                let mut spectrum = spectral.transform(error.as_slice());
+                spectrum.iter_mut().zip(shares.iter()).for_each(|(value, share)| *value *= share.sqrt());
+                error.copy_from_slice(&spectral.signal(spectrum));
+            }
+            error
         };
         let exact = predict(&self.motion);
         let of_place = |place: usize, spectral: &mut Spectral| {
-            let error = predict(&self.moved(&rounded(place as f64 / ROUNDINGS as f64))) - &exact;
+            let error = predict(&self.moved(&rounded(place as f64 / ROUNDINGS as f64, spectral))) - &exact;
             let square = |column: &[f64]| spectral.transform(column).iter().map(|value| value.norm_sqr()).collect();
             let columns: Vec<DVector<f64>> =
                 error.column_iter().map(|column| DVector::from_vec(square(column.as_slice()))).collect();
@@ -125,6 +167,38 @@ mod tests {
                     );
                 }
             }
+        }
+    }
+
+    /// The slope of a gear's torque over its column, the fourth derivative of the positions, is that of the motion however coarse the encoder is.
+    #[test]
+    fn what_an_encoder_rounds_does_not_dilute_a_column_of_high_derivatives() {
+        const STEP: f64 = 1e-4;
+        for (dither, slow) in [(0.0, 1.0), (2.0 * STEP, 1.0), (0.0, 0.3)] {
+            let motion = |t: f64| slow * (PI * t).sin() + 2e-4 * (16.0 * PI * t).sin();
+            let mut run = run(Some(2.0), 16.0);
+            let dithered = |k: usize| dither * (2.0 * ((k * k) as f64 * 0.618_034).fract() - 1.0);
+            let t = run.t.clone();
+            run.q = DMatrix::from_fn(t.len(), 2, |k, _| ((motion(t[k]) + dithered(k)) / STEP).round() * STEP);
+            let experiment = Experiment::prepare(&run, &kept_periods()).unwrap();
+            let samples = experiment.motion.samples();
+            let truth: Vec<f64> = (0..samples)
+                .map(|k| slow * PI.powi(4) * (PI * t[k]).sin() + 2e-4 * (16.0 * PI).powi(4) * (16.0 * PI * t[k]).sin())
+                .collect();
+            let slope = |q: &[f64]| {
+                let mut spectral = Spectral::new(samples, experiment.motion.dt);
+                let low = |f: f64| f64::from(f < 25.0);
+                let [.., ddq] = spectral.derivatives(q, low);
+                let [.., column] = spectral.derivatives(&ddq, low);
+                let square: f64 = column.iter().map(|value| value * value).sum();
+                column.iter().zip(&truth).map(|(column, truth)| column * truth).sum::<f64>() / square
+            };
+            let rounded: Vec<f64> = (0..samples).map(|k| run.q[(k, 0)]).collect();
+            let (kept, diluted) = (slope(experiment.q.column(0).as_slice()), slope(&rounded));
+            assert!(
+                (kept - 1.0).abs() < 0.1 && diluted < 0.6,
+                "{dither} {slow}: {kept}, of one rounded period {diluted}"
+            );
         }
     }
 

@@ -294,7 +294,7 @@ pub fn instruments(structure: &Structure, experiments: &[Experiment]) -> Result<
     Ok(pairs)
 }
 
-/// Mean motion of the even and of the odd periods.
+/// Mean motion of the even and of the odd periods, as measured: noise that is taken off the mean of all would be in both, with opposite signs.
 fn halves(experiment: &Experiment, repeats: &Repeats) -> [Motion; 2] {
     let samples = experiment.motion.samples();
     let periods = repeats.q.nrows() / samples;
@@ -303,7 +303,7 @@ fn halves(experiment: &Experiment, repeats: &Repeats) -> [Motion; 2] {
         let count = own.clone().count() as f64;
         let sum =
             own.fold(DMatrix::zeros(samples, repeats.q.ncols()), |sum, p| sum + repeats.q.rows(p * samples, samples));
-        experiment.moved(&(sum / count))
+        experiment.moved_as_measured(&(sum / count))
     })
 }
 

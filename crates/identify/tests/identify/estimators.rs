@@ -125,8 +125,9 @@ fn outliers_bias_least_squares_and_not_huber() {
 }
 
 #[test]
-fn noisy_positions_bias_least_squares_but_not_iv_and_tls() {
-    // Encoders of 1 mrad noise, and filters so wide that the accelerations' noise reaches the regressor.
+fn noisy_positions_bias_no_estimator_where_periods_tell_their_noise() {
+    // Encoders of 1 mrad noise, and filters so wide that the accelerations' noise reaches the regressor: least squares would be off by 14 and, with
+    // weights, 5.5 of IV's standard deviations if it were not taken off the mean.
     let extra = Extra { position: 1e-3, ..Extra::default() };
     let settings =
         Settings { position_cutoff: Some(15.0), torque_cutoff: 15.0, keep_periods: true, ..Settings::default() };
@@ -136,12 +137,7 @@ fn noisy_positions_bias_least_squares_but_not_iv_and_tls() {
     let errors = found.each_ref().map(|found| error(found, &iv_std));
     let z2 = found.each_ref().map(|found| mean_square(&z(found)));
     println!("ols, wls, iv, tls: errors {errors:.2?} in IV's standard deviations, mean z2 {z2:.2?}");
-    // Least squares is biased, and what every period repeats tells most of how much; the errors of the others agree with their deviations.
-    assert!(z2[..2].iter().all(|z2| (2.0..10.0).contains(z2)), "{z2:?}");
-    assert!(z2[2] < 2.5 && z2[3] < 2.5, "{z2:?}");
-    for unbiased in [2, 3] {
-        assert!(errors[0] > 6.0 * errors[unbiased] && errors[1] > 2.0 * errors[unbiased], "{errors:?}");
-    }
+    assert!(z2.iter().all(|z2| *z2 < 2.5) && errors.iter().all(|error| *error < 1.3), "{errors:?} {z2:?}");
 }
 
 #[test]

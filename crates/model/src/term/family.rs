@@ -75,8 +75,6 @@ pub struct Rare {
     pub fits: fn(&str, Site) -> bool,
     /// The form, by its name, that a search tries only in joints [with a rotor](OperatingPoint::rotors) in the rigid body.
     pub with_rotor: Option<&'static str>,
-    /// Whether its parameter times the joint's rigid-body torque is a displacement.
-    pub is_compliance: bool,
     /// The parameter of a stored model that a column of this effect changes, by the column's name.
     pub changed_parameter: fn(&str) -> &str,
     /// Reported quantities.
@@ -94,7 +92,6 @@ impl Rare {
         in_bodies: InBodies::Nothing,
         fits: |_, _| true,
         with_rotor: None,
-        is_compliance: false,
         changed_parameter: |name| name,
         quantities: quantity::own,
     };

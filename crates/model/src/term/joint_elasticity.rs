@@ -64,7 +64,7 @@ pub static FAMILY: Family = Family {
         confounded("lx and ly of the same link", "log the position on both sides of the gear"),
     ],
     reference: "Albu-Schaeffer, Ott, Hirzinger, Int. J. Robotics Research 26 (2007)",
-    rare: Rare { with_rotor: Some(WITH_ROTOR), is_compliance: true, ..Rare::NONE },
+    rare: Rare { with_rotor: Some(WITH_ROTOR), ..Rare::NONE },
 };
 
 const COMPLIANCE: Setting = Setting {
