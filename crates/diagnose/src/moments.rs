@@ -65,6 +65,8 @@ pub struct GroupedMoments {
     pub r2: Vec<f64>,
     /// Rows.
     pub count: Vec<f64>,
+    /// Largest over-dispersion.
+    pub most: Vec<f64>,
 }
 
 /// Of a candidate with a model, in the groups of the candidate's joints: all folds together.
@@ -203,7 +205,7 @@ impl CrossMoment {
 }
 
 impl GroupedMoments {
-    /// Of the columns of a model.
+    /// Of the columns of a model, whose over-dispersion is not bounded.
     pub fn of(moments: &Moments, evidence: &Evidence) -> GroupedMoments {
         let count = evidence.joints() * BAND_EDGES_HZ.len();
         let mut sums = GroupedMoments {
@@ -211,6 +213,7 @@ impl GroupedMoments {
             groups: vec![None; count],
             r2: vec![0.0; count],
             count: vec![0.0; count],
+            most: vec![f64::INFINITY; count],
         };
         for (cell, own) in evidence.cells().iter().zip(&moments.cells) {
             let at = group(cell.joint, cell.band);
@@ -237,7 +240,7 @@ impl GroupedMoments {
                 fill(g, b, p, add);
             }
         }
-        GroupedMoments { width: p + l, groups, r2: self.r2.clone(), count: self.count.clone() }
+        self.of_width(p + l, groups)
     }
 
     /// The model without some of its columns.
@@ -247,7 +250,11 @@ impl GroupedMoments {
             (g, b.clone().remove_rows(gone.start, gone.len()))
         };
         let groups = self.groups.iter().map(|own| own.as_ref().map(less)).collect();
-        GroupedMoments { width: self.width - gone.len(), groups, r2: self.r2.clone(), count: self.count.clone() }
+        self.of_width(self.width - gone.len(), groups)
+    }
+
+    fn of_width(&self, width: usize, groups: Vec<Option<(DMatrix<f64>, DVector<f64>)>>) -> GroupedMoments {
+        GroupedMoments { width, groups, r2: self.r2.clone(), count: self.count.clone(), most: self.most.clone() }
     }
 }
 
