@@ -22,10 +22,6 @@ const POOLED_ROWS: f64 = 30.0;
 /// Rows of nothing but noise that each band of a joint is taken to have besides its own, where the noise is known: a prior of its
 /// over-dispersion. A band of few rows could explain what one effect did to it by over-dispersion otherwise.
 const ROWS_OF_NOISE: f64 = 10.0;
-/// Largest over-dispersion of a joint and band in units of what plain least squares leave there.
-const MAX_DISPERSION_RATIO: f64 = 4.0;
-/// Rounds in which these find the weights of the joints.
-const PLAIN_ROUNDS: usize = 12;
 /// Rounds of weights.
 const MAX_WEIGHT_ROUNDS: usize = 12;
 /// Change of their logarithm at which they have settled.
@@ -84,12 +80,13 @@ pub fn group(joint: usize, band: usize) -> usize {
 }
 
 /// A fit without the sums that it came from.
-struct Estimate {
+pub(super) struct Estimate {
     theta: DVector<f64>,
     h: DMatrix<f64>,
     weights: Vec<f64>,
     phi: Vec<f64>,
-    rss: Vec<f64>,
+    /// See [`Fit::rss`].
+    pub rss: Vec<f64>,
     likelihood: f64,
 }
 
@@ -112,7 +109,7 @@ pub struct Problem<'a> {
 }
 
 impl Problem<'_> {
-    fn groups(&self) -> usize {
+    pub(super) fn groups(&self) -> usize {
         self.evidence.joints() * BAND_EDGES_HZ.len()
     }
 
@@ -157,36 +154,6 @@ impl Problem<'_> {
         let known = if self.evidence.repeats() { ROWS_OF_NOISE } else { 0.0 };
         let group = |((rss, count), phi): ((&f64, &f64), &f64)| (count + known) * phi.ln() + (rss + known) / phi;
         -0.5 * rss.iter().zip(count).zip(&phi).map(group).sum::<f64>()
-    }
-
-    /// Bounds the over-dispersion by [`MAX_DISPERSION_RATIO`] times what least squares leave, all bands of a joint with one weight: in the joint and band, or
-    /// the joint's mean where that is more. A model that gave up the few rows of the low bands would fit those of the high ones better, and be wrong by
-    /// tens of Nm where the arm moves.
-    pub fn bound(&self, mut sums: GroupedMoments) -> GroupedMoments {
-        if !self.evidence.repeats() {
-            return sums;
-        }
-        let bands = BAND_EDGES_HZ.len();
-        let mut noise = vec![0.0; self.groups()];
-        for cell in self.evidence.cells() {
-            let sigma = &self.evidence.sigma(cell.joint)[cell.rows.clone()];
-            let at = group(cell.joint, cell.band);
-            noise[at] += sigma.iter().map(|sigma| sigma * sigma).sum::<f64>() / sums.count[at];
-        }
-        let mut square = vec![1.0; self.groups()];
-        for _ in 0..PLAIN_ROUNDS {
-            let phi: Vec<f64> = square.iter().zip(&noise).map(|(square, noise)| square / noise).collect();
-            let rss = self.estimate(&sums, &phi).rss;
-            for (at, square) in square.iter_mut().enumerate() {
-                let joint = at / bands * bands..(at / bands + 1) * bands;
-                let left: f64 = joint.clone().map(|at| rss[at] * noise[at]).sum();
-                *square = (left / sums.count[joint].iter().sum::<f64>().max(1.0)).max(f64::MIN_POSITIVE);
-            }
-            for (at, most) in sums.most.iter_mut().enumerate() {
-                *most = (MAX_DISPERSION_RATIO * (rss[at] / sums.count[at]).max(square[at] / noise[at])).max(1.0);
-            }
-        }
-        sums
     }
 
     /// Fits a model. The weights settle from `phi` on, and where the noise is known once more from that of the noise alone: a model
@@ -238,7 +205,8 @@ impl Problem<'_> {
         self.weighted(fit.sums.clone(), &phi)
     }
 
-    fn estimate(&self, sums: &GroupedMoments, phi: &[f64]) -> Estimate {
+    /// One fit with given weights, without its sums.
+    pub(super) fn estimate(&self, sums: &GroupedMoments, phi: &[f64]) -> Estimate {
         let p = sums.width;
         let (mut g, mut b) = (DMatrix::zeros(p, p), DVector::zeros(p));
         for (own, phi) in sums.groups.iter().zip(phi) {
@@ -471,56 +439,6 @@ pub const fn least_independence(exact: bool) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::Settings;
-    use crate::synthetic::recorded;
-
-    #[test]
-    fn a_band_may_lack_four_times_what_least_squares_leave_and_more_costs_its_square() {
-        let recorded = recorded(4, 91, |at| [(3.0 * at.q[1]).sin(), 0.2 * (20.0 * at.q[0]).sin()]);
-        recorded.search(&[], &Settings::default(), |search, base| {
-            let (problem, sums) = (&search.problem, &base.fit.sums);
-            let evidence = problem.evidence;
-            // Each joint in Nm, its rows over what they have left.
-            let in_nm = |joint: usize| {
-                let sigma = DVector::from_column_slice(evidence.sigma(joint));
-                let mut m = base.columns.m[joint].clone();
-                m.column_iter_mut().for_each(|mut column| column.component_mul_assign(&sigma));
-                (m, base.columns.r[joint].component_mul(&sigma))
-            };
-            let joints = [in_nm(0), in_nm(1)];
-            let mut left = [1.0; 2];
-            let mut rest = joints.clone().map(|(_, r)| r);
-            for _ in 0..30 {
-                let (mut g, mut b) = (DMatrix::zeros(sums.width, sums.width), DVector::zeros(sums.width));
-                for ((m, r), left) in joints.iter().zip(left) {
-                    g += m.tr_mul(m) / left;
-                    b += m.tr_mul(r) / left;
-                }
-                let theta = g.try_inverse().unwrap() * b;
-                rest = joints.clone().map(|(m, r)| r - m * &theta);
-                left = [0, 1].map(|joint| rest[joint].norm_squared() / rest[joint].len() as f64);
-            }
-            for (joint, rest) in rest.iter().enumerate() {
-                for (band, most) in sums.most[group(joint, 0)..][..6].iter().enumerate() {
-                    let cells = evidence.cells().iter().filter(|cell| cell.joint == joint && cell.band == band);
-                    let rows: Vec<usize> = cells.flat_map(|cell| cell.rows.clone()).collect();
-                    let mean = |of: &dyn Fn(usize) -> f64| rows.iter().map(|&k| of(k)).sum::<f64>() / rows.len() as f64;
-                    let square = |row: usize| evidence.sigma(joint)[row].powi(2);
-                    let own = mean(&|row| rest[row].powi(2) / square(row));
-                    let expected = 4.0 * own.max(left[joint] / mean(&square));
-                    assert!((most / expected - 1.0).abs() < 0.1, "joint {joint}, band {band}: {most}, {expected}");
-                    let (at, count) = (group(joint, band), sums.count[group(joint, band)]);
-                    let likelihood = |times: f64| {
-                        let mut rss = base.fit.rss.clone();
-                        rss[at] = times * most * count;
-                        problem.likelihood(&rss, sums)
-                    };
-                    let falls = likelihood(3.0) - likelihood(5.0);
-                    assert!((falls / count - 1.0).abs() < 1e-9, "joint {joint}, band {band}: {falls} of {count}");
-                }
-            }
-        });
-    }
 
     #[test]
     fn of_exact_columns_a_ten_thousandth_has_to_be_independent_of_others_a_thousandth() {

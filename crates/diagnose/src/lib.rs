@@ -41,6 +41,7 @@ mod detectable;
 mod deviations;
 mod diagnosis;
 mod disagreement;
+mod dispersion;
 mod empirical;
 pub mod errors;
 mod evidence;

@@ -29,7 +29,7 @@ impl State {
     /// The base alone.
     pub fn base(problem: &Problem, columns: Columns) -> State {
         let moments = columns.moments(problem.evidence);
-        let fit = problem.fit(problem.bound(GroupedMoments::of(&moments, problem.evidence)), None);
+        let fit = problem.fit(problem.bounded(GroupedMoments::of(&moments, problem.evidence)), None);
         let base = moments.width;
         State { base, items: Vec::new(), columns, fit, grouped: OnceLock::new(), moments: moments.into() }
     }

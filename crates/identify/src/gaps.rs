@@ -62,8 +62,8 @@ impl Beside {
 
 /// Puts into rows of a column that are `missing` what the other periods have there, with the period's own difference from them at both ends of the gap and
 /// a cubic (Hermite's) or, of [`Beside::Level`], a line between: the mean over the periods must not jump where one of them is missing, for a step in
-/// positions is a blow in their accelerations. `unusable` rows of other periods are not taken; of [`Beside::Line`], a short gap that no other period has follows
-/// its own ends. Returns whether each missing row was filled.
+/// positions is a blow in their accelerations. `unusable` rows of other periods are not taken; of [`Beside::Line`], a short gap that no other period
+/// has follows its own ends. Returns whether each missing row was filled.
 pub fn fill(values: &mut [f64], missing: &[bool], unusable: &[bool], samples: usize, beside: Beside) -> Vec<bool> {
     let rows = values.len();
     let mut filled = vec![false; rows];

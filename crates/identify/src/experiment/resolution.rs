@@ -24,8 +24,8 @@ const NEIGHBOURS: usize = 4;
 ///   Q_m -> G_m Q_m,   G_m = max(0, 1 - N_m / S_m),   N_m = scatter_m / P + kept^2 delta^2 / 12
 ///
 /// with the mean power `S_m` of `Q` at `m` and its neighbours (Wiener's filter). The motion differs from it by an error of the power `G_m N_m` that is
-/// independent of it. Of positions as measured the error is part of them, and dilutes every column of high derivatives: a soft gear would be like a low-pass that
-/// takes the rounding out of the model's torque. `scatter` has the positions' columns first.
+/// independent of it. Of positions as measured the error is part of them, and dilutes every column of high derivatives: a soft gear would be like a
+/// low-pass that takes the rounding out of the model's torque. `scatter` has the positions' columns first.
 pub(super) fn denoised(q: &DMatrix<f64>, scatter: &Scatter, steps: &[f64]) -> (DMatrix<f64>, DMatrix<f64>) {
     let spectral = Spectral::new(scatter.samples, scatter.dt);
     let kept = kept(steps, &scatter.std);
