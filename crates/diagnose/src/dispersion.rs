@@ -18,24 +18,25 @@ impl Problem<'_> {
             return sums;
         }
         let bands = BAND_EDGES_HZ.len();
-        let mut noise = vec![0.0; self.groups()];
+        let mut noise = vec![0.0; sums.count.len()];
         for cell in self.evidence.cells() {
             let sigma = &self.evidence.sigma(cell.joint)[cell.rows.clone()];
             let at = group(cell.joint, cell.band);
             noise[at] += sigma.iter().map(|sigma| sigma * sigma).sum::<f64>() / sums.count[at];
         }
-        let mut square = vec![1.0; self.groups()];
+        // Mean square of what is left of each joint.
+        let (mut square, mut rss) = (vec![1.0; self.evidence.joints()], Vec::new());
         for _ in 0..ROUNDS {
-            let phi: Vec<f64> = square.iter().zip(&noise).map(|(square, noise)| square / noise).collect();
-            let rss = self.estimate(&sums, &phi).rss;
-            for (at, square) in square.iter_mut().enumerate() {
-                let joint = at / bands * bands..(at / bands + 1) * bands;
-                let left: f64 = joint.clone().map(|at| rss[at] * noise[at]).sum();
-                *square = (left / sums.count[joint].iter().sum::<f64>().max(1.0)).max(f64::MIN_POSITIVE);
+            let phi: Vec<f64> = noise.iter().enumerate().map(|(at, noise)| square[at / bands] / noise).collect();
+            rss = self.estimate(&sums, &phi).rss;
+            for (joint, square) in square.iter_mut().enumerate() {
+                let own = group(joint, 0)..group(joint + 1, 0);
+                let left: f64 = own.clone().map(|at| rss[at] * noise[at]).sum();
+                *square = (left / sums.count[own].iter().sum::<f64>().max(1.0)).max(f64::MIN_POSITIVE);
             }
-            for (at, most) in sums.most.iter_mut().enumerate() {
-                *most = (MAX_RATIO * (rss[at] / sums.count[at]).max(square[at] / noise[at])).max(1.0);
-            }
+        }
+        for (at, most) in sums.most.iter_mut().enumerate() {
+            *most = (MAX_RATIO * (rss[at] / sums.count[at]).max(square[at / bands] / noise[at])).max(1.0);
         }
         sums
     }

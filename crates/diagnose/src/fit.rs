@@ -109,7 +109,7 @@ pub struct Problem<'a> {
 }
 
 impl Problem<'_> {
-    pub(super) fn groups(&self) -> usize {
+    fn groups(&self) -> usize {
         self.evidence.joints() * BAND_EDGES_HZ.len()
     }
 

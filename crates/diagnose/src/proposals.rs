@@ -22,9 +22,6 @@ const MAX_SHORTLISTED: usize = 16;
 /// Starts of a search for several settings where more than one of them has several start values: the likelihood has more than one maximum, and what it is
 /// largest at may be no plausible effect.
 const MAX_STARTS: usize = 3;
-/// Values of the first setting on each side of a start value, up to the next one, that a search for such settings tries before it climbs: a link crosses a gap
-/// at another time where the gap is another, and a quarter more of it is no maximum any more.
-const PLACES_BETWEEN: i32 = 4;
 /// Candidates whose columns are multiplied with the model's at once.
 const SCREENED_AT_ONCE: usize = 32;
 /// Smallest gain at the start of a search for several settings, as a share of the penalty.
@@ -183,23 +180,12 @@ impl Search<'_> {
             let sketch = Candidate::sketch(self.evidence(), self.operating_point, spec_at(shares), item.span);
             sketch.map_or(f64::NEG_INFINITY, |sketch| gain(&sketch))
         };
-        let mut start: Vec<f64> =
+        let start: Vec<f64> =
             form.settings.iter().zip(&item.spec.settings).map(|(own, value)| own.share(*value)).collect();
         let steps: Vec<f64> = form.settings.iter().map(Setting::spacing).collect();
         let before = gain(&item);
-        let mut highest = before;
-        if item.has_several_maxima() {
-            let first = start[0];
-            let between = |k: i32| first + steps[0] * f64::from(k) / f64::from(PLACES_BETWEEN + 1);
-            let places = (-PLACES_BETWEEN..=PLACES_BETWEEN).filter(|k| *k != 0).map(between);
-            for place in places.filter(|place| (0.0..=1.0).contains(place)) {
-                let moved = [&[place], &start[1..]].concat();
-                let own = at(&moved);
-                if own > highest {
-                    (highest, start) = (own, moved);
-                }
-            }
-        }
+        let (start, highest) =
+            if item.has_several_maxima() { search::beside(start, before, steps[0], &at) } else { (start, before) };
         // Expensive. Skipped when the gain is below half the penalty.
         if form.settings.len() > 1 && highest < MIN_START_GAIN_RATIO * self.penalty(&item) {
             return item;

@@ -1,5 +1,7 @@
 //! Searches for the settings of an effect: the largest value of a function of a few variables, each within `0 ..= 1`.
 
+/// Places on each side that [`beside`] tries.
+const PLACES_BESIDE: i32 = 4;
 /// Evaluations of [`golden`]
 const MAX_LINE_EVALUATIONS: usize = 12;
 /// and most of [`simplex`].
@@ -20,6 +22,17 @@ pub fn largest(start: &[f64], steps: &[f64], at: &dyn Fn(&[f64]) -> f64) -> Vec<
         }
         _ => simplex(start, steps, at),
     }
+}
+
+/// The place with the largest value of `start`, which has `value`, and of some whose first variable is less than `step` away, and its value: where to begin if
+/// maxima are narrower than that. A link crosses a gap at another time where the gap is another, and a quarter more of it is no maximum any more.
+pub fn beside(start: Vec<f64>, value: f64, step: f64, at: &dyn Fn(&[f64]) -> f64) -> (Vec<f64>, f64) {
+    let place = |k: i32| start[0] + step * f64::from(k) / f64::from(PLACES_BESIDE + 1);
+    let places = (-PLACES_BESIDE..=PLACES_BESIDE).filter(|k| *k != 0).map(place);
+    let moved = |place: f64| [&[place], &start[1..]].concat();
+    let tried = places.filter(|place| (0.0..=1.0).contains(place)).map(moved).map(|x| (at(&x), x)).collect::<Vec<_>>();
+    let larger = |best: (Vec<f64>, f64), (own, x): (f64, Vec<f64>)| if own > best.1 { (x, own) } else { best };
+    tried.into_iter().fold((start, value), larger)
 }
 
 /// Golden-section search between two places.
@@ -108,6 +121,21 @@ mod tests {
         assert!((found[0] - 0.53).abs() < 0.01, "{found:?}");
         let border = largest(&[0.1], &[0.5], &|x| -x[0]);
         assert!(border[0] < 0.01, "{border:?}");
+    }
+
+    #[test]
+    fn a_hill_between_two_starts_is_found_and_what_is_no_higher_is_none() {
+        let hill = |x: &[f64]| (-((x[0] - 0.63) / 0.05).powi(2)).exp() - x[1];
+        let (found, value) = beside(vec![0.4, 0.2], hill(&[0.4, 0.2]), 0.3, &hill);
+        assert!((found[0] - 0.64).abs() < 1e-12 && found[1] == 0.2 && value == hill(&found), "{found:?} {value}");
+        assert_eq!(beside(vec![0.63, 0.2], 0.8, 0.3, &hill), (vec![0.63, 0.2], 0.8));
+        // The next start is a step away and not tried here, and nothing outside is.
+        let outside = |x: &[f64]| {
+            assert!((0.0..=1.0).contains(&x[0]), "{x:?}");
+            -x[0]
+        };
+        assert!((beside(vec![0.25], -0.25, 0.25, &outside).0[0] - 0.05).abs() < 1e-12);
+        assert_eq!(beside(vec![0.0], 0.0, 0.25, &outside).0, [0.0]);
     }
 
     #[test]

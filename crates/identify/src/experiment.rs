@@ -16,6 +16,7 @@ use super::signal::{SignalError, decimation};
 use super::timeline::Timeline;
 use nalgebra::DMatrix;
 use plumbline_model::term::Motion;
+use resolution::EncoderNoise;
 use std::f64::consts::PI;
 
 /// Maximum position cut-off \[Hz\]. At a reversal of friction the joint's controller reacts within its bandwidth of about 20 Hz, and the step of
@@ -50,8 +51,6 @@ pub struct Experiment {
     pub position_noise: Option<Vec<f64>>,
     /// Smallest step between two positions of the recording, n \[rad\]: the resolution of a coarse encoder.
     pub resolution: Vec<f64>,
-    /// Share of the positions' power at each frequency that is motion and no noise, bins x n; none without repeats.
-    motion_shares: DMatrix<f64>,
     /// Every period's deviation from the mean, where the settings keep it.
     pub repeats: Option<Repeats>,
     /// The desired motion on the same grid, filtered alike; where it was given.
@@ -75,8 +74,8 @@ pub struct Experiment {
     drift: Option<DMatrix<f64>>,
     /// Positions on the even grid before the low-pass, ends included; of the mean of several periods without their noise \[rad\].
     q: DMatrix<f64>,
-    /// What the measured positions have besides, on the same grid \[rad\].
-    noise_taken_off: DMatrix<f64>,
+    /// What was taken off them; `None` without repeats.
+    encoder_noise: Option<EncoderNoise>,
     /// Measured velocities on the same grid \[rad/s\], where velocities and accelerations are computed from them.
     dq: Option<DMatrix<f64>>,
     differentiator: Differentiator,
@@ -130,11 +129,8 @@ impl Experiment {
         let filter = Butterworth::new(settings.order, settings.torque_cutoff, rate)?;
         let steps: Vec<f64> =
             run.q.column_iter().map(|column| faults::resolution(column.as_slice()).unwrap_or(0.0)).collect();
-        let measured = values.columns(0, n).into_owned();
-        let (q, motion_shares) = match &scatter {
-            Some(scatter) => resolution::denoised(&measured, scatter, &steps),
-            None => (measured.clone(), DMatrix::zeros(0, n)),
-        };
+        let mut q = values.columns(0, n).into_owned();
+        let encoder_noise = scatter.as_ref().map(|scatter| EncoderNoise::take_off(&mut q, scatter, &steps));
         let largest = |each: &mut dyn Iterator<Item = f64>| each.fold(0.0, f64::max);
         let noise = match &scatter {
             Some(scatter) => largest(&mut scatter.std[..n].iter().copied()) / (scatter.periods as f64).sqrt(),
@@ -183,7 +179,6 @@ impl Experiment {
                 counted,
             }),
             resolution: steps,
-            motion_shares,
             position_noise: scatter.as_ref().map(|scatter| scatter.std[..n].to_vec()),
             scatter: scatter.map(|scatter| scatter.select(n..2 * n)),
             desired: None,
@@ -196,8 +191,8 @@ impl Experiment {
             filter,
             recorded_scatter,
             drift: None,
-            noise_taken_off: measured - &q,
             q,
+            encoder_noise,
             dq,
             differentiator,
             comparison_differentiator,
@@ -311,7 +306,10 @@ impl Experiment {
 
     /// The same from the positions with all of their noise.
     pub fn moved_as_measured(&self, offset: &DMatrix<f64>) -> Motion {
-        self.moved(&(offset + &self.noise_taken_off))
+        match &self.encoder_noise {
+            Some(noise) => self.moved(&(offset + &noise.taken_off)),
+            None => self.moved(offset),
+        }
     }
 
     /// Shape of the positions on the whole grid, ends included.

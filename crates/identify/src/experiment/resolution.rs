@@ -19,31 +19,44 @@ const DITHER_BISECTIONS: usize = 30;
 /// Neighbours on each side of a frequency whose power is averaged with its own.
 const NEIGHBOURS: usize = 4;
 
-/// Positions of a mean period without what is noise of the encoders, N x n \[rad\], and the share `G` of each frequency's power that is motion, bins x n:
-///
-///   Q_m -> G_m Q_m,   G_m = max(0, 1 - N_m / S_m),   N_m = scatter_m / P + kept^2 delta^2 / 12
-///
-/// with the mean power `S_m` of `Q` at `m` and its neighbours (Wiener's filter). The motion differs from it by an error of the power `G_m N_m` that is
-/// independent of it. Of positions as measured the error is part of them, and dilutes every column of high derivatives: a soft gear would be like a
-/// low-pass that takes the rounding out of the model's torque. `scatter` has the positions' columns first.
-pub(super) fn denoised(q: &DMatrix<f64>, scatter: &Scatter, steps: &[f64]) -> (DMatrix<f64>, DMatrix<f64>) {
-    let spectral = Spectral::new(scatter.samples, scatter.dt);
-    let kept = kept(steps, &scatter.std);
-    let (mut denoised, mut shares) = (q.clone(), DMatrix::from_element(spectral.bins(), q.ncols(), 1.0));
-    for (j, mut column) in denoised.column_iter_mut().enumerate() {
-        let mut spectrum = spectral.transform(column.as_slice());
-        let power: Vec<f64> = spectrum.iter().map(|value| value.norm_sqr() / scatter.samples as f64).collect();
-        let rounding = (kept[j] * steps[j]).powi(2) / 12.0;
-        for (m, value) in spectrum.iter_mut().enumerate().skip(1) {
-            let around = m.saturating_sub(NEIGHBOURS).max(1)..(m + NEIGHBOURS + 1).min(power.len());
-            let mean = |of: &dyn Fn(usize) -> f64| around.clone().map(of).sum::<f64>() / around.len() as f64;
-            let noise = mean(&|m| scatter.power[(m, j)]) / scatter.periods as f64 + rounding;
-            shares[(m, j)] = (1.0 - noise / mean(&|m| power[m]).max(f64::MIN_POSITIVE)).max(0.0);
-            *value *= shares[(m, j)];
+/// Noise of the encoders in the mean of several periods.
+#[derive(Clone, Debug)]
+pub(super) struct EncoderNoise {
+    /// What it is of the mean positions, N x n \[rad\].
+    pub taken_off: DMatrix<f64>,
+    /// Share `G` of the positions' power at each frequency that is motion, bins x n.
+    shares: DMatrix<f64>,
+    /// See [`kept`].
+    kept: Vec<f64>,
+}
+
+impl EncoderNoise {
+    /// Takes it off the positions `q` of a mean period, N x n \[rad\]:
+    ///
+    ///   Q_m -> G_m Q_m,   G_m = max(0, 1 - N_m / S_m),   N_m = scatter_m / P + kept^2 delta^2 / 12
+    ///
+    /// with the mean power `S_m` of `Q` at `m` and its neighbours (Wiener's filter). The motion differs from what is left by an error of the power `G_m N_m`
+    /// that is independent of it. Of positions as measured the error is part of them, and dilutes every column of high derivatives: a soft gear would be
+    /// like a low-pass that takes the rounding out of the model's torque. `scatter` has the positions' columns first.
+    pub fn take_off(q: &mut DMatrix<f64>, scatter: &Scatter, steps: &[f64]) -> EncoderNoise {
+        let spectral = Spectral::new(scatter.samples, scatter.dt);
+        let kept = kept(steps, &scatter.std);
+        let (measured, mut shares) = (q.clone(), DMatrix::from_element(spectral.bins(), q.ncols(), 1.0));
+        for (j, mut column) in q.column_iter_mut().enumerate() {
+            let mut spectrum = spectral.transform(column.as_slice());
+            let power: Vec<f64> = spectrum.iter().map(|value| value.norm_sqr() / scatter.samples as f64).collect();
+            let rounding = (kept[j] * steps[j]).powi(2) / 12.0;
+            for (m, value) in spectrum.iter_mut().enumerate().skip(1) {
+                let around = m.saturating_sub(NEIGHBOURS).max(1)..(m + NEIGHBOURS + 1).min(power.len());
+                let mean = |of: &dyn Fn(usize) -> f64| around.clone().map(of).sum::<f64>() / around.len() as f64;
+                let noise = mean(&|m| scatter.power[(m, j)]) / scatter.periods as f64 + rounding;
+                shares[(m, j)] = (1.0 - noise / mean(&|m| power[m]).max(f64::MIN_POSITIVE)).max(0.0);
+                *value *= shares[(m, j)];
+            }
+            column.copy_from_slice(&spectral.signal(spectrum));
         }
-        column.copy_from_slice(&spectral.signal(spectrum));
+        EncoderNoise { taken_off: measured - &*q, shares, kept }
     }
-    (denoised, shares)
 }
 
 /// Share of the amplitude of a rounding error that repeats in every period, per joint: motions that differ between periods by `sigma` dither a step
@@ -58,27 +71,25 @@ impl Experiment {
     /// is rounded alike in every period: no scatter between periods shows it, and no mean removes it. `predict` gives the torques along a motion.
     ///
     /// The motion behind the torques' low-pass, in which the steps are hardly left, is rounded once more: the torque of the difference has the
-    /// spectrum of the error, of which [`denoised`] positions keep a share. How much there is depends on where the steps are: it is that of the worst of
+    /// spectrum of the error, of which [`EncoderNoise::take_off`] leaves a share. How much there is depends on where the steps are: it is that of the worst of
     /// several places.
     pub fn add_resolution(&mut self, predict: impl Fn(&Motion) -> DMatrix<f64>) {
-        let (Some(scatter), Some(noise)) = (&self.scatter, &self.position_noise) else { return };
+        let (Some(scatter), Some(noise)) = (&self.scatter, &self.encoder_noise) else { return };
         let mut spectral = Spectral::new(scatter.samples, scatter.dt);
         let mut q = self.motion.q.clone();
         for mut column in q.column_iter_mut() {
             let smooth = self.filter.zero_phase_periodic(&mut spectral, column.as_slice());
             column.copy_from_slice(&smooth);
         }
-        let kept = kept(&self.resolution, noise);
         let rounded = |shift: f64, spectral: &mut Spectral| {
             let mut error = DMatrix::from_fn(q.nrows(), q.ncols(), |k, j| {
                 let step = self.resolution[j];
                 let steps = q[(k, j)] / step;
-                if step > 0.0 { kept[j] * step * ((steps + shift).round() - shift - steps) } else { 0.0 }
+                if step > 0.0 { noise.kept[j] * step * ((steps + shift).round() - shift - steps) } else { 0.0 }
             });
-            for (mut error, shares) in error.column_iter_mut().zip(self.motion_shares.column_iter()) {
-                let mut spectrum = spectral.transform(error.as_slice());
-                spectrum.iter_mut().zip(shares.iter()).for_each(|(value, share)| *value *= share.sqrt());
-                error.copy_from_slice(&spectral.signal(spectrum));
+            for (mut error, shares) in error.column_iter_mut().zip(noise.shares.column_iter()) {
+                let left = spectral.scaled(error.as_slice(), |bin| shares[bin].sqrt());
+                error.copy_from_slice(&left);
             }
             error
         };

@@ -61,10 +61,13 @@ impl Spectral {
 
     /// Zero-phase filter: multiplies the spectrum by a real gain of the frequency \[Hz\].
     pub fn filter(&mut self, x: &[f64], gain: impl Fn(f64) -> f64) -> Vec<f64> {
+        self.scaled(x, |bin| gain(self.frequency(bin)))
+    }
+
+    /// The same by a gain of the bin.
+    pub fn scaled(&self, x: &[f64], gain: impl Fn(usize) -> f64) -> Vec<f64> {
         let mut spectrum = self.transform(x);
-        for (m, value) in spectrum.iter_mut().enumerate() {
-            *value *= gain(self.frequency(m));
-        }
+        spectrum.iter_mut().enumerate().for_each(|(bin, value)| *value *= gain(bin));
         self.signal(spectrum)
     }
 
