@@ -53,6 +53,8 @@ const SAME_LINK_RATIO: f64 = 0.02;
 const MAX_ROUNDS: usize = 200;
 /// Smallest force of a contact at its peak \[N\]: a ribbon that hangs down has more.
 const MIN_PEAK_N: f64 = 0.2;
+/// Points that are tried first are so far from the frame, along each of its axes \[m\].
+const START_LEVER_M: f64 = 0.1;
 /// A point is at most so far from its link's frame \[m\].
 const MAX_LEVER_M: f64 = 1.0;
 
@@ -277,9 +279,11 @@ impl Data<'_> {
 
     /// What may act on a link beside this wrench.
     fn acts(&self, link: usize, wrench: Option<Fitted>) -> Vec<Fitted> {
-        // Taking turns creeps, and a good start saves most of it: the frame's origin, or where the moments of a full wrench say.
+        // Taking turns creeps, and a good start saves most of it: the frame's origin, or where the moments of a full wrench say. At an origin on all axes
+        // that move it no force shows.
         let mut starts = vec![Vector3::zeros()];
         starts.extend(wrench.as_ref().and_then(|wrench| self.lever(wrench)));
+        starts.extend((0..3).map(|axis| Vector3::ith(axis, START_LEVER_M)));
         let force = self.at_best_point(link, &starts);
         starts.extend(force.as_ref().and_then(|force| force.act.point()));
         let of_start = |point: &Vector3<f64>| self.settled(&self.fit(link, Act::Push(*point))?);

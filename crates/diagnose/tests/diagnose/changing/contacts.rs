@@ -62,6 +62,25 @@ fn a_contact_is_found_with_time_link_point_and_force() {
     assert!(found.drifts.is_empty() && found.base_motions.is_empty(), "{found:?}");
 }
 
+/// The axes of joints 1 and 2 meet in the frame of link 2: a force at its origin moves nothing.
+#[test]
+fn a_contact_is_found_on_a_link_whose_origin_is_on_all_axes_before_it() {
+    let (point, force) = (Vector3::new(0.1, -0.25, 0.05), Vector3::new(9.0, -12.0, 20.0));
+    let chain = &stage().chain;
+    for periods in [1, 3] {
+        let runs = recorded_periods(1, periods, 63, |at, tau| {
+            let share = window(at.t, 4.2, 5.2);
+            of_force(chain, &at.q, 1, point, force * share).iter().zip(tau).for_each(|(own, tau)| *tau += own);
+        });
+        let found = if periods == 1 { found_once(&runs) } else { found(&runs) };
+        let [contact] = &found.contacts[..] else { panic!("{periods}: {:?}", found.contacts) };
+        assert!((contact.from - 4.2).abs() < 0.2 && (contact.to - 5.2).abs() < 0.2, "{periods}: {contact:?}");
+        assert!(contact.link == 1 && contact.explained > 0.95, "{periods}: {contact:?}");
+        let torque = |joint: usize| contact.torque(joint, 4.7).abs();
+        assert!(torque(0) > 1.0 && torque(1) > 1.0 && torque(2) < 1e-9, "{periods}: {contact:?}");
+    }
+}
+
 #[test]
 fn a_contact_is_found_in_few_periods() {
     for (begin, periods) in [(14.2, 3), (14.2, 2), (4.2, 2)] {
