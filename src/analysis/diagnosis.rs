@@ -94,7 +94,7 @@ fn diagnosed(question: &Question, prepared: Prepared, bar: &Bar) -> Result<Diagn
     variation.add_to(&mut block, question.diagnosis.least_floor, question.diagnosis.threshold);
     // What acts in them, too, is known.
     let unseen = if outcome.unseen.is_empty() { unseen } else { trials(&outcome.unseen, question.unseen) };
-    let unnamed = question.name_disagreements(&after.model, &identify, &unseen, &mut block);
+    let unnamed = question.name_disagreements(&after, &identify, &unseen, &mut block);
     Ok(Diagnosed { after, block, figures: outcome.curves, open: outcome.open, unnamed })
 }
 
@@ -122,7 +122,7 @@ impl Question<'_> {
     /// Returns the number of runs that differ without a name.
     fn name_disagreements<'a>(
         &self,
-        model: &TorqueModel,
+        reference: &Identified,
         identified: &[Trial],
         unseen: &[Trial<'a>],
         block: &mut Diagnosis,
@@ -132,11 +132,11 @@ impl Question<'_> {
         }
         let differs = |(run, trial): (&&Run, &Trial<'a>)| {
             let by = block.disagreements.iter().find(|one| one.run == run.data.name)?.clone();
-            let valid = model.valid_in(&run.data.mounting).is_ok();
+            let valid = reference.model.valid_in(&run.data.mounting).is_ok();
             valid.then_some(Differing { by, mounting: run.data.mounting, trial: *trial })
         };
         let differing: Vec<Differing> = self.unseen.iter().zip(unseen).filter_map(differs).collect();
-        let cause = |differing: &[Differing]| self.cause(model, identified, differing);
+        let cause = |differing: &[Differing]| self.cause(reference, identified, differing);
         let together = Some(&differing[..]).filter(|all| all.len() > 1).and_then(cause);
         let (explained, mut causes) = match together {
             Some(cause) => (differing.len(), vec![cause]),
@@ -157,7 +157,8 @@ impl Question<'_> {
     }
 
     /// The fewest changes that explain what these runs differ by.
-    fn cause(&self, model: &TorqueModel, identified: &[Trial], differing: &[Differing]) -> Option<Changes> {
+    fn cause(&self, of: &Identified, identified: &[Trial], differing: &[Differing]) -> Option<Changes> {
+        let model = &of.model;
         let mounting = differing.first()?.mounting;
         if differing.iter().any(|run| run.mounting.angle_to(&mounting) >= SAME_MOUNTING) {
             return None;
@@ -173,7 +174,8 @@ impl Question<'_> {
         };
         for steps in 1..=self.diagnosis.steps {
             let settings = plumbline_diagnose::Settings { steps, ..self.diagnosis.clone() };
-            let changes = reference::in_unseen(model, identified, &trials, &settings);
+            let changes =
+                reference::in_unseen(model, Some(&of.identification.covariance), identified, &trials, &settings);
             if explain(&changes) {
                 let session = differing.iter().map(|run| run.by.run.as_str()).collect::<Vec<_>>().join(" and ");
                 let effect = |change: &reference::Change| {

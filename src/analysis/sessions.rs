@@ -1,5 +1,6 @@
 //! What changed between the sessions of a dataset: the first is the reference, every later one is compared with its model.
 
+use crate::analysis::pipeline::Identified;
 use crate::analysis::{pipeline, split};
 use crate::dataset::{Dataset, Run};
 use crate::failure::Failure;
@@ -9,7 +10,7 @@ use crate::store::{ModelFile, Provenance};
 use plumbline_diagnose::Trial;
 use plumbline_diagnose::reference::{self, Comparison, Stored};
 use plumbline_identify::{Experiment, Settings};
-use plumbline_model::{Robot, TorqueModel};
+use plumbline_model::Robot;
 use std::path::Path;
 
 /// Runs of the sessions after the first, taken out of the dataset, session by session.
@@ -27,9 +28,8 @@ pub fn take_later(dataset: &mut Dataset) -> Vec<(u32, Vec<Run>)> {
 /// What a later session is compared with, and how.
 pub struct Reference<'a> {
     pub robot: &'a Robot,
-    pub model: &'a TorqueModel,
-    /// Its noise floor, per joint; may be empty \[Nm\].
-    pub noise_floor: &'a [f64],
+    /// The first session's model.
+    pub identified: &'a Identified,
     pub session: u32,
     pub settings: &'a Settings,
     pub diagnosis: &'a plumbline_diagnose::Settings,
@@ -47,7 +47,7 @@ impl Reference<'_> {
         let mut untrusted = Vec::new();
         for (session, runs) in later {
             let (held, refused): (Vec<&Run>, Vec<&Run>) =
-                runs.iter().partition(|run| self.model.valid_in(&run.data.mounting).is_ok());
+                runs.iter().partition(|run| self.identified.model.valid_in(&run.data.mounting).is_ok());
             untrusted.extend(refused.iter().map(|run| run.data.name.clone()));
             if !held.is_empty() {
                 self.one(*session, &held, block, out)?;
@@ -57,19 +57,19 @@ impl Reference<'_> {
     }
 
     fn one(&self, session: u32, runs: &[&Run], block: &mut Diagnosis, out: &Path) -> Result<(), Failure> {
+        let Identified { model, identification, .. } = self.identified;
         let (find, judge) = split::find_and_judge(runs, &mut block.notes);
-        let prepare =
-            |runs: &[Run]| pipeline::experiments_of(self.model, &runs.iter().collect::<Vec<_>>(), self.settings);
+        let prepare = |runs: &[Run]| pipeline::experiments_of(model, &runs.iter().collect::<Vec<_>>(), self.settings);
         let (find, unseen) = (prepare(&find)?, prepare(&judge)?);
         // Within one session, an effect is there or it is not.
         let trials = Trial::in_turn(&find);
-        let changes = reference::changes(self.model, &trials, self.diagnosis, &|_| {});
-        let stored = Stored { model: self.model, changes: &changes.effects };
+        let changes = reference::changes(model, Some(&identification.covariance), &trials, self.diagnosis, &|_| {});
+        let stored = Stored { model, changes: &changes.effects };
         let unseen: Vec<(&Experiment, u32)> = unseen.iter().map(|experiment| (experiment, session)).collect();
         let kept = stored.held(&unseen).map_err(Failure::job)?;
         let comparison = Comparison {
             changes: &changes,
-            stored: self.model,
+            stored: model,
             kept: &kept,
             declared: runs.first().map(|run| run.data.mounting),
             band: Band::Filtered { cutoff: self.settings.torque_cutoff },
@@ -102,7 +102,7 @@ impl Reference<'_> {
         let source = format!("the model of session {} with what changed by session {session}", self.session);
         let file = ModelFile {
             model: stored.with(&kept, session).map_err(Failure::job)?,
-            noise_floor: self.noise_floor.to_vec(),
+            noise_floor: identification.rms.noise_floor.clone().unwrap_or_default(),
             validation: Vec::new(),
             uncertainty: None,
             consistent: None,

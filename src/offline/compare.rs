@@ -65,6 +65,7 @@ pub fn compare(options: &Options) -> Result<Report, Failure> {
     let settings = recorded_data_settings(&options.velocities, options.trim)?;
     let search = diagnose_settings(options)?;
     let model = &file.model;
+    let covariance = file.uncertainty.as_ref().map(|known| &known.parameters.covariance);
     checks::is_folder(&options.out)?;
     pipeline::check_torques(&dataset.runs.iter().collect::<Vec<_>>())?;
     let findings = checks::checked(&options.dataset, &dataset, &robot)?;
@@ -82,7 +83,7 @@ pub fn compare(options: &Options) -> Result<Report, Failure> {
     let unseen = pipeline::experiments_of(model, &judge.iter().collect::<Vec<_>>(), &settings)?;
     let trials = diagnosis::trials(&experiments, &find);
     bar.busy("building candidates");
-    let changes = reference::changes(model, &trials, &search, &diagnosis::search_on(&bar));
+    let changes = reference::changes(model, covariance, &trials, &search, &diagnosis::search_on(&bar));
     bar.busy("testing what was found");
     let stored = Stored { model, changes: &changes.effects };
     let sessions: Vec<u32> = judge.iter().map(|run| run.session).collect();

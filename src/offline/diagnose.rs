@@ -93,14 +93,8 @@ pub(crate) fn diagnose_and_plan(
     };
     let (Diagnosed { after, mut block, figures: drawn, open, .. }, identified, unseen) = exchange::run(&question)?;
     plan(&open, &mut block, &robot, dataset.mounting)?;
-    let reference = sessions::Reference {
-        robot: &robot,
-        model: &after.model,
-        noise_floor: after.identification.rms.noise_floor.as_deref().unwrap_or_default(),
-        session,
-        settings: &settings,
-        diagnosis: &diagnosis,
-    };
+    let reference =
+        sessions::Reference { robot: &robot, identified: &after, session, settings: &settings, diagnosis: &diagnosis };
     let not_valid = reference.compare(&later, &mut block, &given.out)?;
 
     let judged = pipeline::judge_all(&after.model, &unseen, &settings)?;

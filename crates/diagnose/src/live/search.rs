@@ -88,7 +88,7 @@ pub fn search(
     // What alone would not double the error is not named beside others.
     let least = |usual: &f64| (LOST_RATIO * LOST_RATIO - 1.0).sqrt() * usual;
     let seen = Settings { usual: floor.usual.iter().map(least).collect(), ..settings.clone() };
-    let several = || with(reference::changes(lost, &trials, &seen, &|_| {}).effects);
+    let several = || with(reference::changes(lost, None, &trials, &seen, &|_| {}).effects);
     let error = |model: &TorqueModel| rms(&residual(model, judge), inside(judge));
     let (before, now) = (error(lost), error(served));
     let Some((effects, extended)) = likely().or_else(|| alone(far).next()).or_else(several) else {

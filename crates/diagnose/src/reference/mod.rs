@@ -1,8 +1,9 @@
 //! What changed: since a model was identified, or between the sessions of one recording.
 //!
 //! The selection is the one of `select`, with a prior. Against a stored model the torques are what that model
-//! leaves over, and its parameters are not free: `theta = beta - beta_stored` has a Gaussian prior with the standard deviations of the
-//! file. That is what makes a payload visible: within one session the last link's parameters would absorb it. A parameter without a
+//! leaves over, and its parameters are not free: `theta = beta - beta_stored` has a Gaussian prior with the covariance of the
+//! file. That is what makes a payload visible: within one session the last link's parameters would absorb it. Parameters whose standard deviations are large
+//! are known well in most of their combinations, and without their correlations would absorb what is small. A parameter without a
 //! standard deviation was not identifiable when the model was made; it stays free, so that no effect is blamed for it, and
 //! [`Doubt`] names it where the new data has something to say about it. Between sessions the parameters are free but common to all,
 //! and an effect has columns only in the sessions since it came.
@@ -37,7 +38,7 @@ use std::ops::Range;
 const STD_ALLOWANCE_RATIO: f64 = 2.0;
 /// A parameter whose file has no standard deviation at all is held as if it were known to this share of its size.
 const ASSUMED_STD_RATIO: f64 = 1e-3;
-/// Directions of an effect's parameters below this share of their square are not determined.
+/// Directions of parameters below this share of their square are not determined.
 const RANK_RATIO: f64 = 1e-9;
 /// A parameter is undetermined when more than this share of it lies in such directions.
 const UNDETERMINED_RATIO: f64 = 1e-3;
@@ -118,10 +119,17 @@ pub fn families() -> Vec<&'static Family> {
 }
 
 /// What changed since `reference` was identified; where the trials are of several sessions, before the first or with a later one. They
-/// are in mountings that the model is valid in. Nothing is found when they are too short.
-pub fn changes(reference: &TorqueModel, trials: &[Trial], settings: &Settings, progress: &Watch) -> Changes {
+/// are in mountings that the model is valid in. Nothing is found when they are too short. `covariance` is that of the model's parameters, p x p; `None`
+/// where nothing but their standard deviations is known.
+pub fn changes(
+    reference: &TorqueModel,
+    covariance: Option<&DMatrix<f64>>,
+    trials: &[Trial],
+    settings: &Settings,
+    progress: &Watch,
+) -> Changes {
     let evidence = Evidence::of(reference.structure().chain(), trials, settings.band);
-    searched(reference, &evidence, trials, BAND_EDGES_HZ.len(), settings, progress)
+    searched((reference, covariance), &evidence, trials, BAND_EDGES_HZ.len(), settings, progress)
 }
 
 /// Changes of which each by itself may be what [`changes`] looks for, the best first; where the noise is unknown, the simplest of those that are nearly as
@@ -142,19 +150,25 @@ pub fn single_changes(reference: &TorqueModel, trials: &[Trial], settings: &Sett
         scored[..tied].sort_by_key(Scored::cost);
         scored.into_iter().map(one).collect()
     };
-    with_prior(reference, &evidence, trials, settings, alone).unwrap_or_default()
+    with_prior((reference, None), &evidence, trials, settings, alone).unwrap_or_default()
 }
 
 /// [`changes`] in runs that are unseen by the identification of `reference`; the noise is that of the runs that it was `identified` from. What is
 /// left over is that below 4 Hz.
-pub fn in_unseen(reference: &TorqueModel, identified: &[Trial], unseen: &[Trial], settings: &Settings) -> Changes {
+pub fn in_unseen(
+    reference: &TorqueModel,
+    covariance: Option<&DMatrix<f64>>,
+    identified: &[Trial],
+    unseen: &[Trial],
+    settings: &Settings,
+) -> Changes {
     let evidence = Evidence::with_noise_of(reference.structure().chain(), unseen, identified, settings.band);
-    searched(reference, &evidence, unseen, LOW_BANDS, settings, &|_| {})
+    searched((reference, covariance), &evidence, unseen, LOW_BANDS, settings, &|_| {})
 }
 
 /// Calls `then` with the search of what changed, and the state without any change; `None` where the trials are too short.
 fn with_prior<T>(
-    reference: &TorqueModel,
+    (reference, covariance): (&TorqueModel, Option<&DMatrix<f64>>),
     evidence: &Evidence,
     trials: &[Trial],
     settings: &Settings,
@@ -168,7 +182,7 @@ fn with_prior<T>(
     let stored = DVector::from_column_slice(&beta);
     let m = evidence.regressor(structure, trials);
     let r = evidence.torques(trials).into_iter().zip(&m).map(|(tau, m)| tau - m * &stored).collect();
-    let prior = prior(reference.parameters());
+    let prior = prior(reference.parameters(), covariance);
     let problem = Problem { evidence, prior: Some(&prior) };
     let base = State::base(&problem, Columns { m, r });
     let operating_point = evidence.operating_point(structure, &beta);
@@ -181,7 +195,7 @@ fn with_prior<T>(
 }
 
 fn searched(
-    reference: &TorqueModel,
+    stored: (&TorqueModel, Option<&DMatrix<f64>>),
     evidence: &Evidence,
     trials: &[Trial],
     bands: usize,
@@ -189,7 +203,7 @@ fn searched(
     progress: &Watch,
 ) -> Changes {
     let select = |search: &Search, base: State| {
-        let parameters = reference.parameters();
+        let parameters = stored.0.parameters();
         let before = left_over(evidence, &base, &DVector::zeros(parameters.len()), bands);
         let (least, lacking) = (least(search, &base), lack(evidence, &base));
         let selected = with_exact_tilts(search, search.select(base, &[], progress));
@@ -200,7 +214,7 @@ fn searched(
         let after = left_over(evidence, &selected.state, &theta, bands);
         Changes { least, ..report(search, selected, [before, after], lacking, doubt) }
     };
-    with_prior(reference, evidence, trials, settings, select).unwrap_or_default()
+    with_prior(stored, evidence, trials, settings, select).unwrap_or_default()
 }
 
 /// What changed between sessions: parameters are fitted to all of them together, and every family may have come with any session
@@ -243,17 +257,39 @@ pub fn since_sessions(
 
 /// Precision of the stored parameters; none for those that were not identifiable. The parameters of a file without any
 /// standard deviation are assumed to be known.
-fn prior(parameters: &[Parameter]) -> Prior {
+fn prior(parameters: &[Parameter], covariance: Option<&DMatrix<f64>>) -> Prior {
     let nobody = parameters.iter().all(|parameter| parameter.std.is_none());
     let largest = parameters.iter().map(|parameter| parameter.value.abs()).fold(0.0, f64::max);
-    let precision = |parameter: &Parameter| {
-        let std = if nobody { Some(ASSUMED_STD_RATIO * largest.max(1e-9)) } else { parameter.std };
-        // A parameter that was taken out has no error of its own; one in a million of the largest stands for none.
-        std.map_or(0.0, |std| (STD_ALLOWANCE_RATIO * std.max(1e-6 * largest)).powi(-2))
+    // A parameter that was taken out has no error of its own; one in a million of the largest stands for none.
+    let allowed = |std: f64| STD_ALLOWANCE_RATIO * std.max(1e-6 * largest);
+    let std = |parameter: &Parameter| {
+        if nobody { Some(ASSUMED_STD_RATIO * largest.max(1e-9)) } else { parameter.std }.map(allowed)
     };
-    Prior {
-        precision: DMatrix::from_diagonal(&DVector::from_iterator(parameters.len(), parameters.iter().map(precision))),
+    let known: Vec<(usize, f64)> = parameters.iter().enumerate().filter_map(|(k, one)| Some((k, std(one)?))).collect();
+    let inverse = covariance.and_then(|covariance| inverse_correlation(covariance, &known));
+    let mut precision = DMatrix::zeros(parameters.len(), parameters.len());
+    for (a, &(row, one)) in known.iter().enumerate() {
+        for (b, &(column, other)) in known.iter().enumerate() {
+            let alone = if a == b { 1.0 } else { 0.0 };
+            precision[(row, column)] = inverse.as_ref().map_or(alone, |inverse| inverse[(a, b)]) / (one * other);
+        }
     }
+    Prior { precision }
+}
+
+/// Inverse of the correlations of the parameters that are `known`; combinations that are known better than rounding tells are known as well as that.
+fn inverse_correlation(covariance: &DMatrix<f64>, known: &[(usize, f64)]) -> Option<DMatrix<f64>> {
+    let correlation = DMatrix::from_fn(known.len(), known.len(), |a, b| {
+        let (row, column) = (known[a].0, known[b].0);
+        let both = (covariance[(row, row)] * covariance[(column, column)]).sqrt();
+        if a == b || !(both > 0.0) { f64::from(a == b) } else { covariance[(row, column)] / both }
+    });
+    let eigen = symmetric_eigen(correlation)?;
+    let least = RANK_RATIO * eigen.eigenvalues.max();
+    let scaled = DMatrix::from_fn(known.len(), known.len(), |row, k| {
+        eigen.eigenvectors[(row, k)] / eigen.eigenvalues[k].max(least).sqrt()
+    });
+    Some(&scaled * scaled.transpose())
 }
 
 /// RMS per joint beyond the noise in the lowest `bands` of [`BAND_EDGES_HZ`], under given parameters.

@@ -78,7 +78,7 @@ fn settings() -> Settings {
 }
 
 fn found(model: &TorqueModel, experiments: &[Experiment]) -> Changes {
-    changes(model, &trials(experiments, 1), &settings(), &|_| {})
+    changes(model, None, &trials(experiments, 1), &settings(), &|_| {})
 }
 
 fn names(found: &Changes) -> Vec<String> {
@@ -163,7 +163,7 @@ fn a_change_is_found_alone_and_only_above_what_the_model_lacks_by_itself() {
     assert!(validate(&new[0], |motion| mass.predict(motion)).filtered[1] < 0.05);
     let found = |usual: f64| {
         let settings = Settings { usual: vec![usual; 7], ..settings() };
-        changes(stored(), &trials, &settings, &|_| {}).effects.len()
+        changes(stored(), None, &trials, &settings, &|_| {}).effects.len()
     };
     assert_eq!([found(0.1), found(50.0)], [1, 0]);
 }

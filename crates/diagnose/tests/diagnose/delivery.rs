@@ -169,7 +169,7 @@ fn what_changed_in_an_unseen_run_of_two_periods_is_named() {
     let identified = [prepare(4, 31, 0.0), prepare(4, 32, 0.0)];
     let found = |offset: f64| {
         let unseen = [prepare(2, 40, offset)];
-        in_unseen(&model, &Trial::in_turn(&identified), &Trial::in_turn(&unseen), &Settings::default())
+        in_unseen(&model, None, &Trial::in_turn(&identified), &Trial::in_turn(&unseen), &Settings::default())
     };
     assert!(found(0.0).effects.is_empty());
     let changes = found(0.1);
