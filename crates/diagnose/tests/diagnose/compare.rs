@@ -1,5 +1,6 @@
 //! What changed since a model was identified, on simulated recordings whose truth is known.
 
+use nalgebra::DMatrix;
 use plumbline_diagnose::live::{self, Floor, Found, Remedy};
 use plumbline_diagnose::reference::{Change, Changes, between_sessions, changes, extended, single_changes};
 use plumbline_diagnose::{Settings, Trial};
@@ -121,6 +122,25 @@ fn a_payload_is_found_with_its_mass_and_the_model_that_carries_it_predicts() {
     let (before, after) = (rms(stored()), rms(&carrying));
     println!("upright, unseen, mean over joints in the 5 Hz band: {before:.3} -> {after:.3} Nm");
     assert!(before > 0.8 && after < 0.04, "{before} -> {after}");
+}
+
+/// The parameters' deviations by themselves would allow for all of its torque, their correlations do not.
+#[test]
+fn a_light_payload_shows_where_the_covariance_of_the_parameters_is_known() {
+    let structure = stored().structure();
+    let identification = identify(structure, &record(&truth(""), false, 2, Mounting::WALL, 7)).unwrap();
+    let payload = |mass: f64| {
+        let body = format!("[[effect]]\nid = \"payload\"\nmass = {mass}\ncom = [0.0, 0.0, 0.15]\n");
+        truth(if mass > 0.0 { &body } else { "" })
+    };
+    let found = |mass: f64, seed: u64, covariance: Option<&DMatrix<f64>>| {
+        let new = record(&payload(mass), true, 2, Mounting::WALL, seed);
+        names(&changes(stored(), covariance, &trials(&new, 1), &settings(), &|_| {}))
+    };
+    for seed in [117, 127, 137] {
+        assert_eq!(found(0.015, seed, Some(&identification.covariance)), ["payload the arm"], "{seed}");
+        assert!(found(0.015, seed, None).is_empty() && found(0.0, seed, Some(&identification.covariance)).is_empty());
+    }
 }
 
 /// What the live watch does with a change: the model with it holds, the one without it does not, and what is known of it tells how far two models
