@@ -118,6 +118,12 @@ impl Candidate {
         self.span.is_all() && self.spec.family().is_ok_and(|family| family.rare.in_every_arm)
     }
 
+    /// Whether a little of it is a defect.
+    pub fn is_defect(&self) -> bool {
+        let of_every_arm = |family: &Family| family.rare.in_every_arm || family.rare.slight_in_every_arm;
+        self.spec.family().is_ok_and(|family| !of_every_arm(family))
+    }
+
     /// Whether it is the likelier of two that explain as much: a form of the same effect with fewer settings, or what every arm has where the other is rare.
     pub fn is_likelier(&self, other: &Candidate) -> bool {
         let fewer = self.spec.settings.len() < other.spec.settings.len();

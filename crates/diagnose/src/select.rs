@@ -21,6 +21,8 @@ pub(super) const TIE_RATIO: f64 = 0.8;
 /// better by no more is not preferred to one of the same effect with fewer settings, for outside of the recorded range they may differ much; nor is an effect
 /// that few arms have to one of the same joint that every arm has.
 pub(super) const STRONG_GAP: f64 = 6.0;
+/// Least score of a [defect](Candidate::is_defect) that need not matter, as a share of its penalty: none of 40 clean arms has one.
+const MIN_DEFECT_RATIO: f64 = 0.5;
 /// Least share of a joint's mean square on blocks left out that a change of its friction or encoder takes, where the noise is unknown.
 const MIN_CHANGE_SHARE: f64 = 0.5;
 /// Candidates that an outcome lists.
@@ -164,7 +166,8 @@ impl<'a> Search<'a> {
     }
 
     /// Whether a candidate passes every gate. An effect of [most joints](State::has_in_most_joints) has to show alone, as has one that another joint has
-    /// where its evidence is [twice its cost](Scored::is_clear). What the identified runs hardly show, the unseen ones may [prove](Deciding::prove).
+    /// where its evidence is [twice its cost](Scored::is_clear). A [defect](Candidate::is_defect) has to where nobody says what matters. What the identified
+    /// runs hardly show, the unseen ones may [prove](Deciding::prove).
     fn passes(&self, at: &At<'_, 'a>, one: &Scored) -> bool {
         if one.score <= 0.0 || !gates::shows(self.evidence(), &one.item) {
             return false;
@@ -173,7 +176,10 @@ impl<'a> Search<'a> {
         let relevance = gates::relevance(self.evidence(), state, &one.tried, &one.item);
         let of_most = state.has_in_most_joints(&one.item);
         let of_another = self.evidence().repeats() && state.has_in_another_joint(&one.item) && one.is_clear();
-        let matters = of_most || of_another || gates::matters(self.evidence(), &relevance, self.settings);
+        let settings = self.settings;
+        let any_counts = self.evidence().repeats() && settings.threshold.is_none() && settings.usual.is_empty();
+        let is_defect = any_counts && one.item.is_defect() && one.score > MIN_DEFECT_RATIO * one.penalty;
+        let matters = of_most || of_another || is_defect || gates::matters(self.evidence(), &relevance, settings);
         if !matters && self.deciding.is_none() {
             return false;
         }

@@ -48,7 +48,7 @@ pub static FAMILY: Family = Family {
     typical: "all of the Coulomb friction, vw 0.001 to 0.05 rad/s",
     confounded: &[confounded("presliding", SLOW_CONSTANT_SPEEDS), confounded("nonlinear-viscous", CONSTANT_SPEEDS)],
     reference: "Makkar et al., IEEE/ASME AIM 2005",
-    rare: Rare::NONE,
+    rare: Rare { slight_in_every_arm: true, ..Rare::NONE },
 };
 
 const SPEED: Setting = Setting {

@@ -52,7 +52,7 @@ pub static FAMILY: Family = Family {
     typical: "1 to 20 ms; negative where the positions are late",
     confounded: &[confounded("presliding", HIGHER_HARMONICS), confounded("fv of every joint", HIGHER_HARMONICS)],
     reference: "Swevers et al., IEEE Trans. Robotics and Automation 13 (1997), on phases of filtered data",
-    rare: Rare::NONE,
+    rare: Rare { slight_in_every_arm: true, ..Rare::NONE },
 };
 
 fn build_slope(operating_point: &OperatingPoint, site: Site, _settings: &[f64]) -> Arc<dyn Term> {

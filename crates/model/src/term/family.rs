@@ -63,6 +63,9 @@ pub struct Rare {
     pub whole_arm: Option<WholeArm>,
     /// Whether every arm has it. With unknown noise the search starts from a model with it in every joint.
     pub in_every_arm: bool,
+    /// Whether every arm has a little of it, as no friction is quite Coulomb's: where the noise is known it is named only if it matters. A little of
+    /// what few arms have is a defect.
+    pub slight_in_every_arm: bool,
     /// Whether it is of joints that the robot file declares as coupled: a search with unknown noise tries no others, one with known noise few, and they are unlikely.
     pub between_coupled: bool,
     /// Whether it may change after an identification; a comparison with a stored model then searches for it.
@@ -86,6 +89,7 @@ impl Rare {
     pub const NONE: Rare = Rare {
         whole_arm: None,
         in_every_arm: false,
+        slight_in_every_arm: false,
         between_coupled: false,
         may_change: false,
         comes_at_once: false,

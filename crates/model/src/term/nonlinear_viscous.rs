@@ -70,7 +70,7 @@ pub static FAMILY: Family = Family {
         confounded("fv and fc", "they hold most of it: move the joint up to its rated speed"),
     ],
     reference: "Gaz et al., IEEE RA-L 4 (2019); Wolf, Iskandar, ICRA 2018; Waiboer, Aarts, Jonker, Multibody Dynamics (2005)",
-    rare: Rare::NONE,
+    rare: Rare { slight_in_every_arm: true, ..Rare::NONE },
 };
 
 fn sigmoid(operating_point: &OperatingPoint, site: Site, settings: &[f64]) -> Arc<dyn Term> {

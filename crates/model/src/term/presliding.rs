@@ -40,7 +40,7 @@ pub static FAMILY: Family = Family {
         confounded("delay", HIGHER_HARMONICS),
     ],
     reference: "Dahl, AIAA Journal 14 (1976); Canudas de Wit et al., IEEE Trans. Automatic Control 40 (1995)",
-    rare: Rare { in_bodies: InBodies::CoulombFriction { note: SLIDING }, ..Rare::NONE },
+    rare: Rare { slight_in_every_arm: true, in_bodies: InBodies::CoulombFriction { note: SLIDING }, ..Rare::NONE },
 };
 
 fn build(_operating_point: &OperatingPoint, site: Site, settings: &[f64]) -> Arc<dyn Term> {

@@ -40,7 +40,7 @@ pub static FAMILY: Family = Family {
         confounded("coulomb-slope", SLOW_CONSTANT_SPEEDS),
     ],
     reference: "Bittencourt, Gunnarsson, Trans. ASME J. Dynamic Systems 134 (2012)",
-    rare: Rare::NONE,
+    rare: Rare { slight_in_every_arm: true, ..Rare::NONE },
 };
 
 const SPEED: Setting = Setting {

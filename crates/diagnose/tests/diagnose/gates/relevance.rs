@@ -1,8 +1,9 @@
 //! Whether a candidate matters: its torque against the noise and against what is unmodelled.
 
 use super::search::{OFFSET, constant, offset_2, select, taken};
-use super::synthetic::{At, FLOOR, PERIODS, once, recorded};
+use super::synthetic::{At, FLOOR, PERIODS, once, recorded, with_effect};
 use plumbline_diagnose::{Relevance, Settings};
+use plumbline_model::term::effect::{Site, Spec, family};
 use std::f64::consts::TAU;
 
 #[test]
@@ -99,6 +100,25 @@ fn what_the_data_shows_but_nobody_needs_is_not_taken() {
         assert!(search.forward(base.clone(), &[], &|_| {}).state.items.is_empty());
     });
     assert_eq!(taken(&select(&recorded(8, 8, constant(1.5 * FLOOR)), &OFFSET, &settings)), [("torque-offset", 2)]);
+}
+
+/// Of what every arm has a little is no finding, of a defect it is.
+#[test]
+fn a_defect_is_taken_where_it_is_certain_and_nobody_says_that_it_does_not_matter() {
+    let size = 0.4 * FLOOR;
+    let of = |id: &str, settings: &Settings| {
+        let family = family(id).unwrap();
+        let form = &family.forms[0];
+        let middle = form.settings.iter().map(|setting| (setting.low * setting.high).abs().sqrt()).collect();
+        let spec = Spec { family: family.id, form: form.name, site: Site::Joint(1), settings: middle };
+        let selected = select(&with_effect(12, 8, &spec, size, |_| [0.0; 2]), &[family], settings);
+        (selected.first[0].score > 0.5 * selected.first[0].penalty, taken(&selected))
+    };
+    let settings = Settings::default();
+    assert_eq!(of("spring", &settings), (true, vec![("spring", 2)]));
+    assert_eq!(of("stribeck", &settings), (true, Vec::new()));
+    assert_eq!(of("spring", &Settings { threshold: Some(FLOOR), ..settings.clone() }), (true, Vec::new()));
+    assert_eq!(of("spring", &Settings { usual: vec![FLOOR; 2], ..settings }), (true, Vec::new()));
 }
 
 #[test]
