@@ -83,7 +83,7 @@ pub fn disagreements(
         let model = Unseen::of_model(&of_run, fitted, trials);
         let residual = model.residual_of_each(&beta(fitted));
         let of_plain = plain.map(|plain| Unseen::of_model(&of_run, plain, trials).residual_of_each(&beta(plain)));
-        let periods = trial.experiment.averaged_periods() as f64;
+        let periods = trial.experiment.averaged_periods();
         let joint = |deviations: f64, (Look { bands, least, rest }, lacks): (&Look, &Vec<f64>), joint: usize| {
             let noise = evidence.floor_of_periods_below(joint, *bands, periods).unwrap_or(0.0).powi(2);
             let parameters = model.variance(joint, &fitted.identification.covariance, *bands);

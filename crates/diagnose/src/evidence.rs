@@ -169,7 +169,7 @@ impl Evidence {
             repeats,
             motions,
             recorded: trials.iter().map(recorded).collect(),
-            periods: trials.iter().map(|trial| trial.experiment.averaged_periods() as f64).collect(),
+            periods: trials.iter().map(|trial| trial.experiment.averaged_periods()).collect(),
             encoder_steps: (0..joints).map(encoder_step).collect(),
             chain: chain.clone(),
         }

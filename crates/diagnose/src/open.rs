@@ -349,7 +349,8 @@ impl OpenQuestions {
     /// Information of a planned motion, and how often it counts.
     fn planned(&self, run: &Run, periods: usize) -> Result<(Information, f64), EstimateError> {
         let mut experiment = Experiment::prepare(run, &plumbline_identify::Settings::default())?;
-        experiment.scatter = self.scatter.clone().map(|scatter| Scatter { periods, ..scatter });
+        experiment.scatter =
+            self.scatter.clone().map(|scatter| Scatter { periods, averaged: periods as f64, ..scatter });
         let trial = Trial { experiment: &experiment, session: 1, start: self.end };
         let trials = std::slice::from_ref(&trial);
         let evidence = Evidence::of(self.structure.chain(), trials, self.band);

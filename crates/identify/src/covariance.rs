@@ -84,7 +84,7 @@ pub fn between_periods(b: &DMatrix<f64>, at: &[usize], noise: &NoiseOfMean) -> S
         let one_sided = *bin == 0 || 2 * bin == noise.samples;
         let sides = if one_sided { 1.0 } else { 2.0 };
         let product = spectrum.conjugate() * power * spectrum.transpose();
-        let freedom = sides * (noise.periods - 1) as f64;
+        let freedom = sides * noise.freedom;
         for c in 0..p {
             for d in 0..p {
                 covariance[(c, d)] += sides * product[(c, d)].re / noise.samples as f64;
@@ -200,7 +200,7 @@ mod tests {
         });
         let averaged = average(&values.transpose(), &vec![samples as f64 / 240.0; 240], &[], samples, 0.1);
         let gain = |f: f64| 1.0 / (1.0 + f * f);
-        let noise = NoiseOfMean::of(&averaged.deviations, samples, 0.1, gain);
+        let noise = NoiseOfMean::of(&averaged.deviations, &averaged.counted, samples, 0.1, gain);
         let (b, at) = map();
         let found = between_periods(&b, &at, &noise).covariance;
 
@@ -230,7 +230,7 @@ mod tests {
         let mut rng = ChaCha8Rng::seed_from_u64(4);
         let values = DMatrix::from_fn(5 * samples, 2, |_, _| rng.sample::<f64, _>(StandardNormal));
         let averaged = average(&values, &vec![samples as f64 / 200.0; 200], &[], samples, 0.1);
-        let noise = NoiseOfMean::of(&averaged.deviations, samples, 0.1, |_| 1.0);
+        let noise = NoiseOfMean::of(&averaged.deviations, &averaged.counted, samples, 0.1, |_| 1.0);
         // One parameter at a single frequency (two sides, four periods beyond the mean, in each of two joints), one at all of them.
         let at: Vec<usize> = (0..samples).collect();
         let wave = |k: usize| (2.0 * PI * 3.0 * k as f64 / samples as f64).sin();

@@ -133,7 +133,7 @@ impl Experiment {
         let encoder_noise = scatter.as_ref().map(|scatter| EncoderNoise::take_off(&mut q, scatter, &steps));
         let largest = |each: &mut dyn Iterator<Item = f64>| each.fold(0.0, f64::max);
         let noise = match &scatter {
-            Some(scatter) => largest(&mut scatter.std[..n].iter().copied()) / (scatter.periods as f64).sqrt(),
+            Some(scatter) => largest(&mut scatter.std[..n].iter().copied()) / scatter.averaged.sqrt(),
             None => {
                 let each = q.column_iter().map(|column| noise_of_aperiodic(column.as_slice(), settings.order, rate));
                 largest(&mut each.collect::<Result<Vec<f64>, SignalError>>()?.into_iter())
@@ -170,7 +170,9 @@ impl Experiment {
             motion: motion(&differentiator),
             comparison_motion: narrower.then(|| motion(&comparison_differentiator)),
             tau: values.view((edge, n), (count, n)).into_owned(),
-            noise: scatter.as_ref().map(|_| NoiseOfMean::of(&of_tau(), samples, dt, |f| filter.zero_phase_gain(f))),
+            noise: scatter
+                .as_ref()
+                .map(|_| NoiseOfMean::of(&of_tau(), &counted, samples, dt, |f| filter.zero_phase_gain(f))),
             repeats: (scatter.is_some() && settings.keep_periods).then(|| Repeats {
                 periods: periods.clone(),
                 q: deviations.columns(0, n).into_owned(),
@@ -321,7 +323,7 @@ impl Experiment {
     /// the power above the position cut-off, assumed white.
     pub fn noise_of_positions(&self) -> Vec<f64> {
         if let (Some(noise), Some(scatter)) = (&self.position_noise, &self.scatter) {
-            return noise.iter().map(|std| std / (scatter.periods as f64).sqrt()).collect();
+            return noise.iter().map(|std| std / scatter.averaged.sqrt()).collect();
         }
         let share = 1.0 - 2.0 * self.differentiator.cutoff() * self.sampling.dt;
         let (count, n) = self.motion.q.shape();
@@ -364,12 +366,13 @@ impl Experiment {
         if let Some(scatter) = &mut self.scatter {
             scatter.power = Scatter::of(&repeats.tau, &repeats.counted, samples, dt).power;
         }
-        self.noise = Some(NoiseOfMean::of(&repeats.tau, samples, dt, |f| self.filter.zero_phase_gain(f)));
+        self.noise =
+            Some(NoiseOfMean::of(&repeats.tau, &repeats.counted, samples, dt, |f| self.filter.zero_phase_gain(f)));
     }
 
-    /// Number of periods that the mean is of; 1 without repeats.
-    pub fn averaged_periods(&self) -> usize {
-        self.scatter.as_ref().map_or(1, |scatter| scatter.periods)
+    /// Number of periods that the mean is of, see [`Scatter::averaged`]; 1 without repeats.
+    pub fn averaged_periods(&self) -> f64 {
+        self.scatter.as_ref().map_or(1.0, |scatter| scatter.averaged)
     }
 
     /// Scatter of its torques where weights are by frequency.

@@ -34,6 +34,11 @@ pub struct Averaged {
 pub struct Scatter {
     /// Number of periods, P.
     pub periods: usize,
+    /// Number of periods whose mean would have the noise that this one has, `1 / mean_k(1 / P_k)` with the number `P_k` of periods that count at a sample: the
+    /// start of a run that is not settled and what else is left out does not count.
+    pub averaged: f64,
+    /// Degrees of freedom of the power at one frequency, `mean_k(P_k - 1)`; twice as many where it stands for its negative, too.
+    pub freedom: f64,
     /// Standard deviation of one raw sample as recorded, per column: the noise floor.
     pub std: Vec<f64>,
     /// Power of one period's noise, bins x columns, `sum_p |DFT(deviation_p)|^2 / (N (P - 1))`, for 0 Hz to half the rate.
@@ -112,6 +117,18 @@ pub fn weights(left_out: &[bool], unusable: &[bool], lost: &[bool], samples: usi
     weights
 }
 
+/// [`Scatter::averaged`] and [`Scatter::freedom`], that at least of one sample, of periods of which these samples count.
+fn averaged(counted: &[bool], samples: usize) -> (f64, f64) {
+    let numbers = (0..samples).map(|k| counted.iter().skip(k).step_by(samples).filter(|counted| **counted).count());
+    let (mut inverse, mut counting, mut freedom) = (0.0, 0, 0);
+    for number in numbers.filter(|number| *number > 0) {
+        inverse += 1.0 / number as f64;
+        counting += 1;
+        freedom += number - 1;
+    }
+    (f64::from(counting.max(1)) / f64::max(inverse, f64::MIN_POSITIVE), freedom.max(1) as f64 / samples as f64)
+}
+
 /// Subtracts from every sample of a period the mean over the counted periods, and sets the other rows to zero. `deviations`, P N x columns.
 pub fn centre(deviations: &mut DMatrix<f64>, counted: &[bool], samples: usize) {
     let periods = counted.len() / samples;
@@ -129,12 +146,12 @@ pub fn centre(deviations: &mut DMatrix<f64>, counted: &[bool], samples: usize) {
 /// Spectrum of the noise of the mean of P periods after a filter, with correlations between columns.
 #[derive(Clone, Debug)]
 pub struct NoiseOfMean {
-    /// Number of periods, P.
-    pub periods: usize,
+    /// Degrees of freedom of the power at one frequency, see [`Scatter::freedom`].
+    pub freedom: f64,
     /// Samples of a period, N.
     pub samples: usize,
     /// Per frequency that the filter passes, its bin and `sum_p D_p D_p^H / (P (P - 1) N)` with `D_p` the filtered deviations' DFT,
-    /// columns x columns.
+    /// columns x columns; `P` is [`Scatter::averaged`], and `P - 1` [`Scatter::freedom`].
     pub bins: Vec<(usize, DMatrix<Complex<f64>>)>,
 }
 
@@ -143,7 +160,13 @@ impl NoiseOfMean {
     const MIN_GAIN: f64 = 1e-6;
 
     /// Noise of the mean from deviations as in [`Averaged`], `dt` apart \[s\], after a filter with zero-phase `gain` of the frequency \[Hz\].
-    pub fn of(deviations: &DMatrix<f64>, samples: usize, dt: f64, gain: impl Fn(f64) -> f64) -> NoiseOfMean {
+    pub fn of(
+        deviations: &DMatrix<f64>,
+        counted: &[bool],
+        samples: usize,
+        dt: f64,
+        gain: impl Fn(f64) -> f64,
+    ) -> NoiseOfMean {
         let (periods, columns) = (deviations.nrows() / samples, deviations.ncols());
         assert!(periods > 1 && deviations.nrows() == periods * samples, "whole periods, two or more");
         let spectral = Spectral::new(samples, dt);
@@ -151,7 +174,8 @@ impl NoiseOfMean {
             .map(|bin| (bin, gain(spectral.frequency(bin))))
             .filter(|(_, gain)| *gain > NoiseOfMean::MIN_GAIN)
             .collect();
-        let scale = 1.0 / (periods * (periods - 1) * samples) as f64;
+        let (averaged, freedom) = averaged(counted, samples);
+        let scale = 1.0 / (averaged * freedom * samples as f64);
         let mut bins: Vec<_> = gains.iter().map(|&(bin, _)| (bin, DMatrix::zeros(columns, columns))).collect();
         for p in 0..periods {
             let spectra: Vec<Vec<Complex<f64>>> = (0..columns)
@@ -165,7 +189,7 @@ impl NoiseOfMean {
                 }
             }
         }
-        NoiseOfMean { periods, samples, bins }
+        NoiseOfMean { freedom, samples, bins }
     }
 }
 
@@ -176,9 +200,8 @@ impl Scatter {
         let spectral = Spectral::new(samples, dt);
         let mut power = DMatrix::zeros(spectral.bins(), columns);
         let mut std = vec![0.0; columns];
-        // Degrees of freedom: counted samples less one for each mean, `N (P - 1)` without gaps.
-        let freedom = counted.iter().filter(|counted| **counted).count().saturating_sub(samples);
-        let scale = 1.0 / freedom.max(1) as f64;
+        let (averaged, freedom) = averaged(counted, samples);
+        let scale = 1.0 / (freedom * samples as f64);
         for (c, column) in deviations.column_iter().enumerate() {
             std[c] = (scale * column.norm_squared()).sqrt();
             for deviation in column.as_slice().chunks(samples) {
@@ -188,12 +211,12 @@ impl Scatter {
             }
         }
         let repeated = DMatrix::zeros(power.nrows(), columns);
-        Scatter { periods: counted.len() / samples, std, power, repeated, samples, dt }
+        Scatter { periods: counted.len() / samples, averaged, freedom, std, power, repeated, samples, dt }
     }
 
     /// Power of the mean's noise in a bin.
     pub fn power_of_mean(&self, bin: usize, column: usize) -> f64 {
-        self.power[(bin, column)] / self.periods as f64 + self.repeated[(bin, column)]
+        self.power[(bin, column)] / self.averaged + self.repeated[(bin, column)]
     }
 
     /// Autocovariance of the mean's noise after a filter of the given zero-phase gain (of the frequency in Hz), at lags of
@@ -252,7 +275,7 @@ impl NoisePower {
             };
             Recording {
                 width: 1.0 / (scatter.samples as f64 * scatter.dt),
-                freedom: 2.0 * (scatter.periods - 1) as f64,
+                freedom: 2.0 * scatter.freedom,
                 below: [sums(&scatter.power), sums(&scatter.repeated)],
             }
         };
@@ -312,6 +335,37 @@ mod tests {
                 clean + x
             }
         })
+    }
+
+    /// Of three periods the first two have half and a quarter left out: the mean has the noise of two samples there, and of one.
+    #[test]
+    fn what_is_left_out_of_some_periods_is_in_no_mean_and_leaves_its_noise() {
+        let (periods, samples, draws) = (3, 400, 200);
+        let uncounted = |row: usize| row < 200 || (samples..samples + 100).contains(&row);
+        let weights: Vec<f64> = (0..periods * samples)
+            .map(|row| {
+                let own = (row % samples..periods * samples).step_by(samples);
+                let number = own.filter(|row| !uncounted(*row)).count() as f64;
+                if uncounted(row) { 0.0 } else { 1.0 / number }
+            })
+            .collect();
+        let mut rng = ChaCha8Rng::seed_from_u64(9);
+        let (mut expected, mut found, mut square) = (0.0, 0.0, 0.0);
+        for _ in 0..draws {
+            let values = DMatrix::from_fn(periods * samples, 1, |_, _| noise(&mut rng));
+            let averaged = average(&values, &weights, &[], samples, 1e-3);
+            let of_mean = NoiseOfMean::of(&averaged.deviations, &averaged.counted, samples, 1e-3, |_| 1.0);
+            let sides = |bin: usize| if bin == 0 || 2 * bin == samples { 1.0 } else { 2.0 };
+            let power = of_mean.bins.iter().map(|(bin, power)| sides(*bin) * power[(0, 0)].re);
+            expected += power.sum::<f64>() / samples as f64;
+            found += averaged.scatter.unwrap().std_of_mean(|_| 1.0)[0].powi(2);
+            square += averaged.mean.norm_squared() / samples as f64;
+        }
+        // 1/3 of the variance in the second half of a period, 1/2 in the second quarter, all of it in the first.
+        assert!((square / f64::from(draws) - (0.5 / 3.0 + 0.25 / 2.0 + 0.25)).abs() < 0.01, "{square}");
+        for known in [expected, found] {
+            assert!((known / square - 1.0).abs() < 0.02, "{known} {square}");
+        }
     }
 
     #[test]

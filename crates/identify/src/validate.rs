@@ -104,7 +104,7 @@ pub fn compare(experiment: &Experiment, modelled: &Modelled) -> Rms {
         filtered,
         noise_floor: scatter.map(|scatter| scatter.std.clone()),
         filtered_noise_floor: scatter.map(|scatter| scatter.std_of_mean(|f| experiment.gain(f))),
-        samples: counted * experiment.averaged_periods(),
+        samples: (counted as f64 * experiment.averaged_periods()).round() as usize,
     }
 }
 

@@ -422,7 +422,7 @@ pub fn cleaned(experiments: &mut [Experiment], found: &Changing, operating_point
             torque.inspect(|torque| experiment.take_off(torque));
         }
         if let (Some(own), Some(scatter)) = (&mut experiment.scatter, scatter) {
-            *own = Scatter { periods: own.periods, ..scatter.clone() };
+            *own = Scatter { periods: own.periods, averaged: own.averaged, ..scatter.clone() };
         }
     }
 }

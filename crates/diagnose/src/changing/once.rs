@@ -18,10 +18,9 @@ pub(super) const MAX_PERIODS: usize = 2;
 
 /// Largest energy of another event, or of another period at the same time, as a share of the contact's.
 const MAX_OTHERS_RATIO: f64 = 0.5;
+
 /// Smallest difference of a contact's score to that of what is no contact: what the model lacks is no noise, and reaches 24.
 const MIN_GAP: f64 = 30.0;
-/// Largest energy of another event, as a share of that of a contact with a smaller difference: what the model lacks is not in one place alone.
-const MAX_DWARFED_RATIO: f64 = 0.2;
 /// Smallest share of an event in which another period counts, to be held against it.
 const MIN_COMPARABLE_RATIO: f64 = 0.25;
 /// Length of the window of the low-pass behind which contacts are sought \[s\]: its gain is a half at 5 Hz.
@@ -94,24 +93,19 @@ fn contacts(
         let gap = || contact::largest_gap(operating_point, apart, &apart.tau, &noise, event);
         share < MIN_COMPARABLE_RATIO || gap() >= share * contact::MIN_GAP
     };
+    let (mut touched, mut others) = (Vec::new(), 0.0_f64);
     let by_model = |event: &Event| !record.has_majority(event.first..event.last);
-    let sought = |event: Event| {
-        let contact = || contact::contact(operating_point, &record, &record.tau, &noise, &event, contact::MIN_GAP);
-        let found = (!comes_again(&event)).then(contact).flatten().filter(|_| differs(&event));
-        (energy(&event), event, found)
-    };
-    let sought: Vec<_> = contact::candidates(&record, x, &[]).into_iter().filter(by_model).map(sought).collect();
+    for event in contact::candidates(&record, x, &[]).into_iter().filter(by_model) {
+        let contact = || contact::contact(operating_point, &record, &record.tau, &noise, &event, MIN_GAP);
+        match (!comes_again(&event)).then(contact).flatten().filter(|_| differs(&event)) {
+            Some(contact) => touched.push((energy(&event), event, contact)),
+            None => others = others.max(energy(&event)),
+        }
+    }
     // Where as much happens that is no contact, the model lacks something.
-    let clear = |contact: &Option<Contact>| contact.as_ref().is_some_and(|contact| contact.gap >= MIN_GAP);
-    let stands_out = |(energy, event, contact): &(f64, Event, Option<Contact>)| {
-        let others = sought.iter().filter(|(_, other, found)| other != event && !clear(found));
-        let ratio = if clear(contact) { MAX_OTHERS_RATIO } else { MAX_DWARFED_RATIO };
-        others.map(|(energy, ..)| *energy).fold(0.0, f64::max) < ratio * energy
-    };
-    let stands_out: Vec<bool> = sought.iter().map(stands_out).collect();
+    touched.retain(|(energy, ..)| others < MAX_OTHERS_RATIO * energy);
     let spans = |event: &Event| left_out(&record, &transient::mask(&record, [event], EVENT_MARGIN_S));
-    let touched = sought.into_iter().zip(stands_out).filter(|(_, stands_out)| *stands_out);
-    touched.filter_map(|((_, event, contact), _)| Some((contact?, spans(&event)))).collect()
+    touched.into_iter().map(|(_, event, contact)| (contact, spans(&event))).collect()
 }
 
 /// The same of a run without repeats.

@@ -74,7 +74,7 @@ pub(super) fn of_rows(
         }
         let experiment = trials[fold.experiment].experiment;
         let [scattered, repeated] = power.at(frequency, experiment.motion.dt);
-        let of_mean = scattered / experiment.averaged_periods() as f64 + repeated;
+        let of_mean = scattered / experiment.averaged_periods() + repeated;
         // Torques that repeat to the last bit have no noise; a thousandth of a milli-newton-metre stands for it.
         (of_mean.sqrt().max(1e-6), repeated)
     };

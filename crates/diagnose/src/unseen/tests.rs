@@ -71,7 +71,7 @@ fn what_every_period_repeats_is_in_any_number_of_periods() {
     let mut recorded = recorded(2, 96, |_| [0.0; 2]);
     let chain = recorded.structure.chain().clone();
     let scattered = Evidence::of(&chain, &recorded.trials(), 16.0).floor(0).unwrap();
-    let periods = recorded.experiments[0].averaged_periods() as f64;
+    let periods = recorded.experiments[0].averaged_periods();
     for scatter in recorded.experiments.iter_mut().filter_map(|experiment| experiment.scatter.as_mut()) {
         // As much as the scatter leaves in the mean.
         scatter.repeated = &scatter.power / periods;

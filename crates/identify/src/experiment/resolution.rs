@@ -49,6 +49,7 @@ impl EncoderNoise {
             for (m, value) in spectrum.iter_mut().enumerate().skip(1) {
                 let around = m.saturating_sub(NEIGHBOURS).max(1)..(m + NEIGHBOURS + 1).min(power.len());
                 let mean = |of: &dyn Fn(usize) -> f64| around.clone().map(of).sum::<f64>() / around.len() as f64;
+                // Of samples at which all periods count: more would take motion off there.
                 let noise = mean(&|m| scatter.power[(m, j)]) / scatter.periods as f64 + rounding;
                 shares[(m, j)] = (1.0 - noise / mean(&|m| power[m]).max(f64::MIN_POSITIVE)).max(0.0);
                 *value *= shares[(m, j)];

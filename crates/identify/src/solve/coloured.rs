@@ -46,7 +46,6 @@ impl Noise {
         let joints = experiments[0].joints();
         let smooth: Vec<NoisePower> = (0..joints).map(|joint| NoisePower::of(&scatters, joint)).collect();
         let each = experiments.iter().zip(&scatters).map(|(experiment, scatter)| {
-            let periods = scatter.periods as f64;
             let whole = Spectral::new(scatter.samples, scatter.dt);
             let white = |m: usize| experiment.gain(whole.frequency(m)).powi(2);
             let passed = both_sides(scatter.samples, white);
@@ -56,7 +55,7 @@ impl Noise {
             let power = |joint: usize| {
                 let at = |m: usize| {
                     let [scattered, repeated] = smooth[joint].at(own.frequency(m), scatter.dt);
-                    scattered / periods + repeated
+                    scattered / scatter.averaged + repeated
                 };
                 (0..own.bins()).map(at).collect()
             };

@@ -77,7 +77,7 @@ pub fn of_all(structure: &Structure, stack: &Stack, experiments: &[Experiment], 
         Some(repeats) => {
             let both = combined(structure, experiment, repeats, &beta);
             let (samples, dt) = (experiment.motion.samples(), experiment.motion.dt);
-            let noise = NoiseOfMean::of(&both, samples, dt, |f| experiment.gain(f));
+            let noise = NoiseOfMean::of(&both, &repeats.counted, samples, dt, |f| experiment.gain(f));
             of_mean(stack, fit, &residual, index, experiment.kept(), &noise)
         }
         None => from_residual(stack, fit, &residual, index),
@@ -115,7 +115,7 @@ fn beyond(left: &[Vec<f64>], noise: &NoiseOfMean) -> NoiseOfMean {
     // Largest ratio of two means over so many frequencies that noise alone has.
     let by_chance = |number: usize| {
         let freedom = 2.0 * number as f64;
-        let f = FisherSnedecor::new(freedom, freedom * (noise.periods - 1) as f64);
+        let f = FisherSnedecor::new(freedom, freedom * noise.freedom);
         f.map_or(1.0, |f| f.inverse_cdf(1.0 - BY_CHANCE))
     };
     let everywhere = by_chance(bins.len());
@@ -137,7 +137,7 @@ fn beyond(left: &[Vec<f64>], noise: &NoiseOfMean) -> NoiseOfMean {
     let at = |k: usize| DMatrix::from_diagonal(&DVector::from_fn(left.len(), |j, _| joints[j][k].into()));
     let bins = bins.iter().enumerate().map(|(k, bin)| (*bin, at(k))).collect();
     // As many degrees of freedom as the spectrum of one period has.
-    NoiseOfMean { periods: 2, samples: noise.samples, bins }
+    NoiseOfMean { freedom: 1.0, samples: noise.samples, bins }
 }
 
 /// Power by frequency of a signal at some of a period's samples, in the units of [`NoiseOfMean::bins`]. The others are zeros of an even grid.
