@@ -282,7 +282,7 @@ fn inverse_correlation(covariance: &DMatrix<f64>, known: &[(usize, f64)]) -> Opt
     let correlation = DMatrix::from_fn(known.len(), known.len(), |a, b| {
         let (row, column) = (known[a].0, known[b].0);
         let both = (covariance[(row, row)] * covariance[(column, column)]).sqrt();
-        if a == b || !(both > 0.0) { f64::from(a == b) } else { covariance[(row, column)] / both }
+        if a != b && both > 0.0 { covariance[(row, column)] / both } else { f64::from(a == b) }
     });
     let eigen = symmetric_eigen(correlation)?;
     let least = RANK_RATIO * eigen.eigenvalues.max();
