@@ -266,12 +266,13 @@ fn prior(parameters: &[Parameter], covariance: Option<&DMatrix<f64>>) -> Prior {
         if nobody { Some(ASSUMED_STD_RATIO * largest.max(1e-9)) } else { parameter.std }.map(allowed)
     };
     let known: Vec<(usize, f64)> = parameters.iter().enumerate().filter_map(|(k, one)| Some((k, std(one)?))).collect();
-    let inverse = covariance.and_then(|covariance| inverse_correlation(covariance, &known));
+    let uncorrelated = || DMatrix::identity(known.len(), known.len());
+    let inverse =
+        covariance.and_then(|covariance| inverse_correlation(covariance, &known)).unwrap_or_else(uncorrelated);
     let mut precision = DMatrix::zeros(parameters.len(), parameters.len());
     for (a, &(row, one)) in known.iter().enumerate() {
         for (b, &(column, other)) in known.iter().enumerate() {
-            let alone = if a == b { 1.0 } else { 0.0 };
-            precision[(row, column)] = inverse.as_ref().map_or(alone, |inverse| inverse[(a, b)]) / (one * other);
+            precision[(row, column)] = inverse[(a, b)] / (one * other);
         }
     }
     Prior { precision }

@@ -53,7 +53,7 @@ const SAME_LINK_RATIO: f64 = 0.02;
 const MAX_ROUNDS: usize = 200;
 /// Smallest force of a contact at its peak \[N\]: a ribbon that hangs down has more.
 const MIN_PEAK_N: f64 = 0.2;
-/// Points that are tried first are so far from the frame, along each of its axes \[m\].
+/// Where a search for the point starts beside the frame's origin: so far along each of its axes \[m\].
 const START_LEVER_M: f64 = 0.1;
 /// A point is at most so far from its link's frame \[m\].
 const MAX_LEVER_M: f64 = 1.0;
