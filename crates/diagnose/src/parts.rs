@@ -41,7 +41,8 @@ fn is_rest_of(one: &Named, of: &Named) -> bool {
         form.is_some_and(Form::is_approximate) && own.effect.in_model
     };
     let small = one.effect.torque_rms.zip(of.effect.torque_rms).is_some_and(|(one, of)| one <= MAX_REST_RATIO * of);
-    let other_law = one.spec.site == of.spec.site && one.spec.family != of.spec.family;
+    let law = |own: &Named| (own.spec.family, own.spec.form);
+    let other_law = one.spec.site == of.spec.site && law(one) != law(of);
     small && other_law && approximate(one) && approximate(of)
 }
 

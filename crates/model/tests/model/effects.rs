@@ -114,6 +114,20 @@ fn a_model_with_any_effect_is_rebuilt_from_its_names() {
     }
 }
 
+#[test]
+fn contacts_that_slide_one_after_the_other_carry_a_third_each() {
+    let mut rng = ChaCha8Rng::seed_from_u64(29);
+    let model = rigid_model("panda", &mut rng);
+    let motion = smooth_motion(&mut rng, 7, true, 1000);
+    let column = |form, settings: &[f64]| {
+        columns(&operating_point(&model), &effect("presliding", form, Site::Joint(3), settings), &motion)
+    };
+    let [first, second, third] = [0.002, 0.01, 0.05].map(|delta| column("", &[delta]));
+    let spread = column("spread", &[0.01, 5.0]);
+    assert!((&spread - (first + &second + third) / 3.0).amax() < 1e-12);
+    assert!((spread - second).amax() > 0.1, "one contact is something else");
+}
+
 /// Columns that the data can't tell can be left out of an effect; what is left is the same effect.
 #[test]
 fn an_effect_may_be_short_of_columns() {

@@ -6,7 +6,7 @@ use plumbline_model::term::Motion;
 use plumbline_model::term::effect::{Family, Form, OperatingPoint, Site, Spec, assemble};
 use plumbline_model::{Mounting, NamedEffect, NamedTerm, Reduction, Structure, TorqueModel};
 use plumbline_testkit::arms::{any_mounting, chain, draw, random_base};
-use rand::Rng;
+use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 /// Sines with their derivatives, one period of 4 s.
@@ -60,6 +60,8 @@ pub fn operating_point(model: &TorqueModel) -> OperatingPoint {
 
 /// Every form of a family at a random site with random settings.
 pub fn specs(family: &'static Family, n: usize, rng: &mut ChaCha8Rng) -> Vec<Spec> {
+    // What the others get does not depend on how many forms this one has.
+    let mut rng = ChaCha8Rng::from_rng(rng);
     let mut spec = |form: &'static Form| Spec {
         family: family.id,
         form: form.name,
