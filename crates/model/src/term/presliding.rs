@@ -19,7 +19,12 @@ pub static FAMILY: Family = Family {
         Form {
             name: "",
             equation: "tau_j = fp_j z, dz/dq_j = (1 - sign(dq_j) z) / delta",
-            settings: &[Setting { name: "delta", what: "displacement over which the contact bends", steps: 16, ..DELTA }],
+            settings: &[Setting {
+                name: "delta",
+                what: "displacement over which the contact bends",
+                steps: 16,
+                ..DELTA
+            }],
             build: |_, site, settings| presliding("", site, settings, vec![settings[0]]),
             in_c: IN_C,
             plot_over: PlotOver::Velocity,
