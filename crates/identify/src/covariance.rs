@@ -92,7 +92,9 @@ pub fn between_periods(b: &DMatrix<f64>, at: &[usize], noise: &NoiseOfMean) -> S
             fourth[c] += (sides * product[(c, c)].re / noise.samples as f64).powi(2) / freedom;
         }
     }
-    let freedom = (0..p).map(|c| if fourth[c] > 0.0 { covariance[(c, c)].powi(2) / fourth[c] } else { f64::INFINITY });
+    // Of two periods that are alike in a part of their time less than one is left; an interval of fewer than one says no more than that nothing is known.
+    let at_least_one = |c: usize| (covariance[(c, c)].powi(2) / fourth[c]).max(1.0);
+    let freedom = (0..p).map(|c| if fourth[c] > 0.0 { at_least_one(c) } else { f64::INFINITY });
     Spread { freedom: freedom.collect(), covariance: symmetric(&covariance) }
 }
 

@@ -27,6 +27,8 @@ pub(super) struct Even {
     pub periods: Vec<usize>,
     /// Weights of their samples in the mean.
     pub weights: Vec<f64>,
+    /// Positions of these periods, one below the other, P N x n \[rad\].
+    pub q: DMatrix<f64>,
     pub scatter: Option<Scatter>,
     pub deviations: DMatrix<f64>,
     pub counted: Vec<bool>,
@@ -83,6 +85,7 @@ impl Even {
                 periodic: false,
                 periods: Vec::new(),
                 weights: Vec::new(),
+                q: DMatrix::zeros(0, n),
                 scatter: None,
                 deviations: DMatrix::zeros(0, 2 * n),
                 counted: Vec::new(),
@@ -157,9 +160,12 @@ impl Even {
             return Err(EstimateError::Periods { run: run.name.clone(), found, skipped: found, period });
         }
         let weights = weights(&left_out, &unusable, &lost, samples, dt);
-        let mut averaged = average(&rest, &weights, &filled, samples, dt);
+        let either = |a: &[bool], b: &[bool]| a.iter().zip(b).map(|(a, b)| a | b).collect::<Vec<bool>>();
+        // What is left out is in the mean where nothing else is, and is not like the others.
+        let mut averaged = average(&rest, &weights, &either(&filled, &left_out), samples, dt);
         // Torques that other periods stand in for have their deviation, and that of two samples on both sides, which is no noise. Positions go on, for a
         // step would be a blow in the accelerations.
+        let no_deviation = either(&no_deviation, &left_out);
         if averaged.scatter.is_some() && no_deviation.contains(&true) {
             averaged.counted.iter_mut().zip(&no_deviation).for_each(|(counted, none)| *counted &= !none);
             let mut torques = averaged.deviations.columns(n, n).into_owned();
@@ -169,6 +175,7 @@ impl Even {
         Ok(Even {
             periods,
             weights,
+            q: rest.columns(0, n).into_owned(),
             values: averaged.mean,
             sampling: even.sampling,
             periodic: true,
@@ -212,14 +219,16 @@ impl Missing<'_> {
         let others =
             |row: usize| (row % samples..rows).step_by(samples).filter(move |&other| other != row && !long[other]);
         let settled = |row: usize| others(row).any(|other| !left_out[other]);
-        // A start that has not settled has the course of the torques between both ends, of a gap that goes from the end of a period into the next as well.
+        // A start that has not settled stands in with its motion, too; but the motion does not go on from the end of the period before into it. A gap across that
+        // end follows its own ends.
         let no_line = long_stretches(spoiled.to_vec(), dt, MAX_CURVE_S);
         let joined: Vec<bool> = (0..rows).map(|row| no_line[row] && !found[row]).collect();
         let (mut open, mut first) = (vec![false; rows], 0);
         for stretch in joined.chunk_by(|a, b| a == b) {
             let own = first..first + stretch.len();
             first = own.end;
-            open[own.clone()].fill(stretch[0] && own.into_iter().any(|row| !settled(row)));
+            let crosses = own.start / samples != (own.end - 1) / samples;
+            open[own.clone()].fill(stretch[0] && crosses && own.into_iter().any(|row| !settled(row)));
         }
         let at_last = fill(values, &open, &either(long, spoiled), samples, Beside::Line(beside));
         let mut replaced = 0;

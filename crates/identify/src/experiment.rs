@@ -1,5 +1,6 @@
 //! One run prepared for the regression: averaged, filtered, differentiated.
 
+mod fading;
 mod resolution;
 
 use super::EstimateError;
@@ -14,6 +15,7 @@ use super::signal::resample::{Sampling, resample};
 use super::signal::spectral::Spectral;
 use super::signal::{SignalError, decimation};
 use super::timeline::Timeline;
+use fading::Fading;
 use nalgebra::DMatrix;
 use plumbline_model::term::Motion;
 use resolution::EncoderNoise;
@@ -76,6 +78,8 @@ pub struct Experiment {
     q: DMatrix<f64>,
     /// What was taken off them; `None` without repeats.
     encoder_noise: Option<EncoderNoise>,
+    /// What fading periods add to its derivatives; `None` where none fades.
+    fading: Option<Fading>,
     /// Measured velocities on the same grid \[rad/s\], where velocities and accelerations are computed from them.
     dq: Option<DMatrix<f64>>,
     differentiator: Differentiator,
@@ -117,6 +121,7 @@ impl Experiment {
             periodic,
             periods,
             weights,
+            q: of_periods,
             scatter,
             deviations,
             counted,
@@ -130,6 +135,7 @@ impl Experiment {
         let steps: Vec<f64> =
             run.q.column_iter().map(|column| faults::resolution(column.as_slice()).unwrap_or(0.0)).collect();
         let mut q = values.columns(0, n).into_owned();
+        let fading = if periodic { Fading::of(&of_periods, &weights, samples, settings.order, dt)? } else { None };
         let encoder_noise = scatter.as_ref().map(|scatter| EncoderNoise::take_off(&mut q, scatter, &steps));
         let largest = |each: &mut dyn Iterator<Item = f64>| each.fold(0.0, f64::max);
         let noise = match &scatter {
@@ -160,7 +166,11 @@ impl Experiment {
             return Err(SignalError::TooShort { samples, needed: 2 * edge + 2 * step });
         }
         let dq = (values.ncols() > 2 * n).then(|| values.columns(2 * n, n).into_owned());
-        let motion = |differentiator: &Differentiator| motion_of(differentiator, &q, dq.as_ref(), edge);
+        let motion = |differentiator: &Differentiator| {
+            let mut motion = motion_of(differentiator, &q, dq.as_ref(), edge);
+            fading.iter().for_each(|fading| fading.take_off(&mut motion, differentiator));
+            motion
+        };
         let narrower = comparison_differentiator.cutoff() < differentiator.cutoff();
         let of_tau = || deviations.columns(n, n).into_owned();
         let recorded_scatter =
@@ -195,6 +205,7 @@ impl Experiment {
             drift: None,
             q,
             encoder_noise,
+            fading,
             dq,
             differentiator,
             comparison_differentiator,
@@ -229,7 +240,9 @@ impl Experiment {
     /// The motion of every period by itself, P N rows at the samples of [`Repeats`]; `None` where the periods are not kept.
     pub fn own_motion(&self) -> Option<Motion> {
         let repeats = self.repeats.as_ref()?;
-        let mean = self.comparison_motion.as_ref().unwrap_or(&self.motion);
+        let mut mean = self.comparison_motion.as_ref().unwrap_or(&self.motion).clone();
+        // A period is the mean and its deviation, whatever the mean is of.
+        self.fading.iter().for_each(|fading| fading.put_back(&mut mean, self.of_comparison()));
         // The periods follow each other, and the last does not adjoin the first.
         let mut own = self.comparison_differentiator.aperiodic().motion(&repeats.q, 0);
         let samples = mean.samples();
@@ -291,14 +304,20 @@ impl Experiment {
     /// The comparison motion including the cut ends of an aperiodic run, and the number of samples cut off each end. There the accelerations
     /// depend on the extrapolation past the ends.
     pub fn with_ends(&self) -> (Motion, usize) {
-        let differentiator =
-            if self.comparison_motion.is_some() { &self.comparison_differentiator } else { &self.differentiator };
-        (motion_of(differentiator, &self.q, self.dq.as_ref(), 0), self.edge)
+        let mut motion = motion_of(self.of_comparison(), &self.q, self.dq.as_ref(), 0);
+        self.fading.iter().for_each(|fading| fading.take_off(&mut motion, self.of_comparison()));
+        (motion, self.edge)
+    }
+
+    /// Differentiator of the motion for the comparison with raw torques.
+    fn of_comparison(&self) -> &Differentiator {
+        if self.comparison_motion.is_some() { &self.comparison_differentiator } else { &self.differentiator }
     }
 
     /// The motion for perturbed positions: `offset` is added to those of the motion on the whole grid, N x n \[rad\].
     pub fn moved(&self, offset: &DMatrix<f64>) -> Motion {
         let mut moved = self.differentiator.motion(&(&self.q + offset), self.edge);
+        self.fading.iter().for_each(|fading| fading.take_off(&mut moved, &self.differentiator));
         if self.dq.is_some() {
             moved.dq.copy_from(&self.motion.dq);
             moved.ddq.copy_from(&self.motion.ddq);

@@ -53,7 +53,7 @@ pub struct Scatter {
 }
 
 /// Averages `values` (rows in time) over its whole periods of `samples` rows with these [`weights`]; a partial period at the end is ignored. There
-/// must be at least one whole period. Rows that are `filled` tell nothing of the scatter. `dt`: time between samples \[s\].
+/// must be at least one whole period. Rows that are `filled`, or no period like the others, tell nothing of the scatter. `dt`: time between samples \[s\].
 pub fn average(values: &DMatrix<f64>, weights: &[f64], filled: &[bool], samples: usize, dt: f64) -> Averaged {
     let periods = values.nrows() / samples;
     assert!(periods > 0, "no whole period of {samples} samples in {}", values.nrows());
@@ -68,10 +68,8 @@ pub fn average(values: &DMatrix<f64>, weights: &[f64], filled: &[bool], samples:
     });
     let scatter = if filled.contains(&true) {
         let (mut measured, mut told) = (deviations.clone(), counted.clone());
-        for row in (0..told.len()).filter(|&row| filled[row]) {
-            measured.row_mut(row).fill(0.0);
-            told[row] = false;
-        }
+        told.iter_mut().zip(filled).for_each(|(told, filled)| *told &= !filled);
+        centre(&mut measured, &told, samples);
         Scatter::of(&measured, &told, samples, dt)
     } else {
         Scatter::of(&deviations, &counted, samples, dt)
