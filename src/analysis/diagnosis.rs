@@ -55,13 +55,21 @@ pub fn run(question: &Question) -> Result<Diagnosed, Failure> {
     let first = prepared(question, None)?;
     let contacts = first.variation.contacts.len();
     let found = diagnosed(question, first, &bar)?;
-    // What a contact was found by may be an effect that the plain model lacks.
-    let acts = found.block.effects.iter().any(|effect| effect.acts.is_some());
-    if contacts == 0 || acts || !found.block.effects.iter().any(|effect| effect.in_model) {
+    let left = found.block.unexplained.len();
+    if contacts + left == 0 || !found.block.effects.iter().any(|effect| effect.in_model) {
         return Ok(found);
     }
+    // What a contact was found by may be an effect that the plain model lacks. And the noise of the positions makes more of a model that has it.
     let again = prepared(question, Some(&found.after.model))?;
-    if again.variation.contacts.len() < contacts { diagnosed(question, again, &bar) } else { Ok(found) }
+    let fewer = contacts.checked_sub(again.variation.contacts.len());
+    match fewer {
+        Some(1..) => diagnosed(question, again, &bar),
+        Some(0) if left > 0 && again.identify.iter().any(|experiment| experiment.scatter.is_some()) => {
+            let again = diagnosed(question, again, &bar)?;
+            Ok(if again.block.unexplained.len() < left { again } else { found })
+        }
+        _ => Ok(found),
+    }
 }
 
 fn diagnosed(question: &Question, prepared: Prepared, bar: &Bar) -> Result<Diagnosed, Failure> {
