@@ -63,9 +63,9 @@ const FLANK_WIDTH: Setting = Setting {
     name: "width",
     unit: "Nm",
     what: "load at which the teeth lie on a flank with 76 % of the gap",
-    low: 0.01,
+    low: 0.0001,
     high: 1.0,
-    steps: 3,
+    steps: 5,
     scale: Scale::Logarithmic,
 };
 
