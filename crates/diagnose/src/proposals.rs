@@ -249,12 +249,16 @@ pub(super) fn inside(setting: &Setting, share: f64) -> f64 {
     setting.at(share.clamp(0.0, 1.0)).clamp(setting.low, setting.high)
 }
 
-/// The first effects of a list, each with the first of its starts. One that a search has found is followed by no other.
+/// The first effects of a list, each with the first of its starts, which differ in their first setting: a sharper flank of the same gap leads to the same
+/// maximum. One that a search has found is followed by no other.
 fn shortlisted<'a>(candidates: impl Iterator<Item = (&'a Candidate, bool)>) -> Vec<Vec<&'a Candidate>> {
+    let differs = |one: &Candidate, other: &Candidate| one.spec.settings.first() != other.spec.settings.first();
     let mut short: Vec<(usize, Vec<&Candidate>)> = Vec::new();
     for (item, found) in candidates {
         match short.iter().position(|(_, starts)| starts[0].alike(item)) {
-            Some(of) if short[of].1.len() < short[of].0 => short[of].1.push(item),
+            Some(of) if short[of].1.len() < short[of].0 && short[of].1.iter().all(|start| differs(start, item)) => {
+                short[of].1.push(item);
+            }
             None if short.len() < MAX_SHORTLISTED => {
                 let most = if !found && item.has_several_maxima() { MAX_STARTS } else { 1 };
                 short.push((most, vec![item]));
