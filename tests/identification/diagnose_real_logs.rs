@@ -29,7 +29,7 @@ const QUICK: Row = Row {
     worse: 0.0,
 };
 
-const OTHERS: [Row; 6] = [
+const OTHERS: [Row; 8] = [
     Row { dataset: "panda-gaz2019", options: "", most: &[(7, 0.025)], share: &[(6, 0.4), (7, 0.7)], worse: 0.0 },
     Row {
         dataset: "panda-gaz2019",
@@ -48,6 +48,14 @@ const OTHERS: [Row; 6] = [
         worse: 0.0,
     },
     Row { dataset: "ur10-unisa", options: "", most: &[], share: &[(1, 0.6), (2, 0.5), (4, 0.6)], worse: 0.0 },
+    Row {
+        dataset: "fr3-teleop",
+        options: "",
+        most: &[(2, 0.12), (7, 0.03)],
+        share: &[(1, 0.4), (2, 0.7), (4, 0.6), (7, 0.2)],
+        worse: 0.0,
+    },
+    Row { dataset: "kr300", options: "", most: &[], share: &[(1, 0.5), (3, 0.5), (4, 0.6), (6, 0.8)], worse: 0.0 },
 ];
 
 fn diagnose(dataset: &Path, options: &str) -> serde_json::Value {
