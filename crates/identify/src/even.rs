@@ -160,7 +160,6 @@ impl Even {
             return Err(EstimateError::Periods { run: run.name.clone(), found, skipped: found, period });
         }
         let weights = weights(&left_out, &unusable, &lost, samples, dt);
-        let either = |a: &[bool], b: &[bool]| a.iter().zip(b).map(|(a, b)| a | b).collect::<Vec<bool>>();
         // What is left out is in the mean where nothing else is, and is not like the others.
         let mut averaged = average(&rest, &weights, &either(&filled, &left_out), samples, dt);
         // Torques that other periods stand in for have their deviation, and that of two samples on both sides, which is no noise. Positions go on, for a
@@ -212,7 +211,6 @@ impl Missing<'_> {
     /// periods have a part and none has all; otherwise the line across it stays.
     fn repair(&self, values: &mut [f64], measured: &[f64], alone: &mut [bool]) -> usize {
         let Missing { filled, spoiled, left_out, long, samples, beside, dt } = *self;
-        let either = |a: &[bool], b: &[bool]| a.iter().zip(b).map(|(a, b)| a | b).collect::<Vec<bool>>();
         let level = Beside::Level(beside);
         let found = fill(values, &either(filled, spoiled), &either(left_out, spoiled), samples, level);
         let rows = spoiled.len();
@@ -247,6 +245,11 @@ impl Missing<'_> {
         }
         replaced
     }
+}
+
+/// Rows that are in one of two masks.
+fn either(one: &[bool], other: &[bool]) -> Vec<bool> {
+    one.iter().zip(other).map(|(one, other)| one | other).collect()
 }
 
 /// Samples of an even grid that begins at the first time stamp, from rows at uneven times \[s\], with those that were lost between two of them.

@@ -1,5 +1,6 @@
 //! Derivatives of a mean whose weights change with time.
 
+use super::MAX_NYQUIST_RATIO;
 use crate::differentiate::Differentiator;
 use crate::signal::SignalError;
 use crate::signal::butterworth::Butterworth;
@@ -29,7 +30,7 @@ impl Fading {
     /// Of periods of so many samples one after the other, with the weights of their rows, P N; `None` where no weight changes.
     ///
     /// # Errors
-    /// A sampling rate below twice the cut-off.
+    /// An invalid order.
     pub fn of(
         q: &DMatrix<f64>,
         weights: &[f64],
@@ -40,7 +41,8 @@ impl Fading {
         if weights.windows(2).all(|pair| pair[0] == pair[1]) {
             return Ok(None);
         }
-        let filter = Butterworth::new(order, CUTOFF_HZ, 1.0 / dt)?;
+        let rate = 1.0 / dt;
+        let filter = Butterworth::new(order, CUTOFF_HZ.min(MAX_NYQUIST_RATIO * rate / 2.0), rate)?;
         // The end of the record adjoins its start, as the weights do.
         let [slopes, bends] = difference::derivatives(weights, dt, true);
         let joints = q.ncols();
