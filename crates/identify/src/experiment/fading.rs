@@ -111,4 +111,15 @@ mod tests {
         let truth = 3e-3 * (-1.3f64 / 0.5).exp() / 0.25 - PI * PI * (PI * 1.3).sin();
         assert!((own.ddq[(row, 0)] - truth).abs() < 2e-3, "{} of {truth}", own.ddq[(row, 0)]);
     }
+
+    #[test]
+    fn periods_fade_at_low_sampling_rates_too() {
+        let mut slow = run(Some(2.0), 6.0);
+        let rows: Vec<usize> = (0..slow.t.len()).step_by(50).collect();
+        slow.t = rows.iter().map(|&row| slow.t[row]).collect();
+        (slow.q, slow.tau) = (slow.q.select_rows(&rows), slow.tau.select_rows(&rows));
+        let leave_out = vec![crate::ExcludedSpan { run: "test".into(), from: 0.0, to: 0.6 }];
+        let experiment = Experiment::prepare(&slow, &crate::Settings { leave_out, ..kept_periods() }).unwrap();
+        assert!(experiment.timeline.weights[5] == 0.0 && experiment.fading.is_some());
+    }
 }
