@@ -54,17 +54,18 @@ pub fn run(question: &Question) -> Result<Diagnosed, Failure> {
     bar.busy("preparing the runs");
     let first = prepared(question, None)?;
     let contacts = first.variation.contacts.len();
+    let repeats = first.identify.iter().any(|experiment| experiment.scatter.is_some());
     let found = diagnosed(question, first, &bar)?;
-    let left = found.block.unexplained.len();
+    // Without repeats the noise is not known, and there is none to prepare again.
+    let left = if repeats { found.block.unexplained.len() } else { 0 };
     if contacts + left == 0 || !found.block.effects.iter().any(|effect| effect.in_model) {
         return Ok(found);
     }
     // What a contact was found by may be an effect that the plain model lacks. And the noise of the positions makes more of a model that has it.
     let again = prepared(question, Some(&found.after.model))?;
-    let fewer = contacts.checked_sub(again.variation.contacts.len());
-    match fewer {
+    match contacts.checked_sub(again.variation.contacts.len()) {
         Some(1..) => diagnosed(question, again, &bar),
-        Some(0) if left > 0 && again.identify.iter().any(|experiment| experiment.scatter.is_some()) => {
+        Some(0) if left > 0 => {
             let again = diagnosed(question, again, &bar)?;
             Ok(if again.block.unexplained.len() < left { again } else { found })
         }

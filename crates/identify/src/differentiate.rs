@@ -62,13 +62,7 @@ impl Differentiator {
 
     /// Every column of a period behind the low-pass of the positions.
     pub fn low_pass(&self, x: &DMatrix<f64>) -> DMatrix<f64> {
-        let mut spectral = Spectral::new(x.nrows(), self.dt);
-        let mut out = x.clone();
-        for mut column in out.column_iter_mut() {
-            let smooth = self.filter.zero_phase_periodic(&mut spectral, column.as_slice());
-            column.copy_from_slice(&smooth);
-        }
-        out
+        self.filter.zero_phase_periods(x)
     }
 
     /// The motion of positions `q`, N x n \[rad\], without `edge` samples at both ends. Within [`Differentiator::edge`] samples of an end,

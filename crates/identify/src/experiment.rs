@@ -166,11 +166,8 @@ impl Experiment {
             return Err(SignalError::TooShort { samples, needed: 2 * edge + 2 * step });
         }
         let dq = (values.ncols() > 2 * n).then(|| values.columns(2 * n, n).into_owned());
-        let motion = |differentiator: &Differentiator| {
-            let mut motion = motion_of(differentiator, &q, dq.as_ref(), edge);
-            fading.iter().for_each(|fading| fading.take_off(&mut motion, differentiator));
-            motion
-        };
+        let motion =
+            |differentiator: &Differentiator| motion_of(differentiator, &q, dq.as_ref(), fading.as_ref(), edge);
         let narrower = comparison_differentiator.cutoff() < differentiator.cutoff();
         let of_tau = || deviations.columns(n, n).into_owned();
         let recorded_scatter =
@@ -240,9 +237,8 @@ impl Experiment {
     /// The motion of every period by itself, P N rows at the samples of [`Repeats`]; `None` where the periods are not kept.
     pub fn own_motion(&self) -> Option<Motion> {
         let repeats = self.repeats.as_ref()?;
-        let mut mean = self.comparison_motion.as_ref().unwrap_or(&self.motion).clone();
         // A period is the mean and its deviation, whatever the mean is of.
-        self.fading.iter().for_each(|fading| fading.put_back(&mut mean, self.of_comparison()));
+        let mean = self.of_comparison().motion(&self.q, self.edge);
         // The periods follow each other, and the last does not adjoin the first.
         let mut own = self.comparison_differentiator.aperiodic().motion(&repeats.q, 0);
         let samples = mean.samples();
@@ -304,9 +300,7 @@ impl Experiment {
     /// The comparison motion including the cut ends of an aperiodic run, and the number of samples cut off each end. There the accelerations
     /// depend on the extrapolation past the ends.
     pub fn with_ends(&self) -> (Motion, usize) {
-        let mut motion = motion_of(self.of_comparison(), &self.q, self.dq.as_ref(), 0);
-        self.fading.iter().for_each(|fading| fading.take_off(&mut motion, self.of_comparison()));
-        (motion, self.edge)
+        (motion_of(self.of_comparison(), &self.q, self.dq.as_ref(), self.fading.as_ref(), 0), self.edge)
     }
 
     /// Differentiator of the motion for the comparison with raw torques.
@@ -316,8 +310,7 @@ impl Experiment {
 
     /// The motion for perturbed positions: `offset` is added to those of the motion on the whole grid, N x n \[rad\].
     pub fn moved(&self, offset: &DMatrix<f64>) -> Motion {
-        let mut moved = self.differentiator.motion(&(&self.q + offset), self.edge);
-        self.fading.iter().for_each(|fading| fading.take_off(&mut moved, &self.differentiator));
+        let mut moved = motion_of(&self.differentiator, &(&self.q + offset), None, self.fading.as_ref(), self.edge);
         if self.dq.is_some() {
             moved.dq.copy_from(&self.motion.dq);
             moved.ddq.copy_from(&self.motion.ddq);
@@ -455,13 +448,20 @@ impl Experiment {
 }
 
 /// Motion of positions and, where given, measured velocities, without `edge` samples at both ends. Measured velocities pass the filter
-/// of the positions, which keeps them aligned.
-fn motion_of(differentiator: &Differentiator, q: &DMatrix<f64>, dq: Option<&DMatrix<f64>>, edge: usize) -> Motion {
+/// of the positions, which keeps them aligned. What fading periods add to the derivatives is taken off.
+fn motion_of(
+    differentiator: &Differentiator,
+    q: &DMatrix<f64>,
+    dq: Option<&DMatrix<f64>>,
+    fading: Option<&Fading>,
+    edge: usize,
+) -> Motion {
     let mut motion = differentiator.motion(q, edge);
     if let Some(dq) = dq {
         let measured = differentiator.motion(dq, edge);
         (motion.dq, motion.ddq) = (measured.q, measured.dq);
     }
+    fading.into_iter().for_each(|fading| fading.take_off(&mut motion, differentiator));
     motion
 }
 

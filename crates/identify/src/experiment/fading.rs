@@ -66,12 +66,6 @@ impl Fading {
         motion.dq -= of.low_pass(&self.dq);
         motion.ddq -= of.low_pass(&self.ddq);
     }
-
-    /// Undoes [`Fading::take_off`].
-    pub fn put_back(&self, motion: &mut Motion, of: &Differentiator) {
-        motion.dq += of.low_pass(&self.dq);
-        motion.ddq += of.low_pass(&self.ddq);
-    }
 }
 
 #[cfg(test)]

@@ -77,11 +77,7 @@ impl Experiment {
     pub fn add_resolution(&mut self, predict: impl Fn(&Motion) -> DMatrix<f64>) {
         let (Some(scatter), Some(noise)) = (&self.scatter, &self.encoder_noise) else { return };
         let mut spectral = Spectral::new(scatter.samples, scatter.dt);
-        let mut q = self.motion.q.clone();
-        for mut column in q.column_iter_mut() {
-            let smooth = self.filter.zero_phase_periodic(&mut spectral, column.as_slice());
-            column.copy_from_slice(&smooth);
-        }
+        let q = self.filter.zero_phase_periods(&self.motion.q);
         let rounded = |shift: f64, spectral: &mut Spectral| {
             let mut error = DMatrix::from_fn(q.nrows(), q.ncols(), |k, j| {
                 let step = self.resolution[j];

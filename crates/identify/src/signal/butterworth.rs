@@ -4,6 +4,7 @@
 
 use super::SignalError;
 use super::spectral::Spectral;
+use nalgebra::DMatrix;
 use std::f64::consts::PI;
 
 /// Padding in time constants of the filter's slowest mode (`exp(-20) = 2e-9`).
@@ -98,6 +99,17 @@ impl Butterworth {
     /// Filters one period of an infinite periodic signal exactly: the gain is applied to its spectrum.
     pub fn zero_phase_periodic(&self, spectral: &mut Spectral, x: &[f64]) -> Vec<f64> {
         spectral.filter(x, |f| self.zero_phase_gain(f))
+    }
+
+    /// [`Butterworth::zero_phase_periodic`] of every column of a period.
+    pub fn zero_phase_periods(&self, x: &DMatrix<f64>) -> DMatrix<f64> {
+        let mut spectral = Spectral::new(x.nrows(), 1.0 / self.rate);
+        let mut out = x.clone();
+        for mut column in out.column_iter_mut() {
+            let smooth = self.zero_phase_periodic(&mut spectral, column.as_slice());
+            column.copy_from_slice(&smooth);
+        }
+        out
     }
 
     /// Forward filter in place, initialised in steady state at the first value.

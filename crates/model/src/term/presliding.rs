@@ -1,6 +1,7 @@
 //! Presliding: elastic friction before sliding, a function of the displacement since the last reversal.
 
 use super::family::*;
+use super::one_row::column;
 use super::{Column, Expected, FixedTerm, Motion, Sample};
 use crate::chain::Chain;
 use nalgebra::{DMatrix, Vector3};
@@ -126,9 +127,7 @@ impl Term for Presliding {
 
     fn columns(&self) -> Vec<Column> {
         let form = if self.form.is_empty() { String::new() } else { format!("_{}", self.form) };
-        let name = format!("fp{}{form}", self.joint + 1);
-        let expression = name.clone();
-        vec![Column { symbol: name.clone(), name, joint: self.joint + 1, unit: "Nm", expression }]
+        vec![column("fp", Site::Joint(self.joint), &form, "Nm")]
     }
 
     fn fill(&self, _chain: &Chain, motion: &Motion, y: &mut DMatrix<f64>, first: usize) {
