@@ -265,10 +265,10 @@ impl Evidence {
             if share.as_ref().is_some_and(|share| share.iter().all(|share| *share == 0.0)) {
                 continue;
             }
-            let means = rough && whole.periodic && term.integrates();
+            let means = rough && term.integrates();
             let (thinning, motion) = match (term.smooth(), means) {
                 (true, _) => (Thinning::Middle(*step), few),
-                (false, true) => (Thinning::MeanBefore(*step), few),
+                (false, true) => (Thinning::MeanAround(*step), few),
                 (false, false) => (Thinning::Mean(*step), whole),
             };
             let samples = motion.samples();
@@ -294,9 +294,19 @@ impl Evidence {
                     if x.iter().all(|value| *value == 0.0) {
                         continue;
                     }
-                    if let Thinning::Mean(step) = thinning {
-                        blocks.clear();
-                        blocks.extend(x.chunks_exact(step).map(|piece| piece.iter().sum::<f64>() / step as f64));
+                    blocks.clear();
+                    match thinning {
+                        Thinning::Mean(step) => {
+                            blocks.extend(x.chunks_exact(step).map(|piece| piece.iter().sum::<f64>() / step as f64));
+                        }
+                        Thinning::MeanAround(_) => {
+                            let after_last = if motion.periodic { x[0] } else { x[samples - 1] };
+                            let next = x[1..].iter().chain([&after_last]);
+                            blocks.extend(x.iter().zip(next).map(|(one, next)| 0.5 * (one + next)));
+                        }
+                        Thinning::None | Thinning::Middle(_) => {}
+                    }
+                    if !blocks.is_empty() {
                         x = &blocks;
                     }
                     let part = part.get_or_insert_with(|| DMatrix::zeros(self.per_joint(), width));

@@ -92,8 +92,10 @@ impl Cosines {
 struct Bin {
     /// Sine and cosine of the angle by which the first sample that is there is late.
     late: (f64, f64),
-    /// What the mean of the samples that one stands for keeps of a wave.
-    gain: f64,
+    /// What the mean of the samples that one stands for keeps of a wave,
+    of_mean: f64,
+    /// and the mean of two means.
+    around: f64,
 }
 
 /// A motion and the same with fewer samples.
@@ -116,8 +118,8 @@ pub(super) enum Thinning {
     Middle(usize),
     /// The mean of every so many, so that nothing sharp falls between two of them.
     Mean(usize),
-    /// The mean of so many up to the middle one of every so many.
-    MeanBefore(usize),
+    /// The middle one of every so many, as the mean of the means since the one before and up to the one after.
+    MeanAround(usize),
 }
 
 impl Thinning {
@@ -125,17 +127,17 @@ impl Thinning {
     fn step(self) -> usize {
         match self {
             Thinning::None => 1,
-            Thinning::Middle(step) | Thinning::Mean(step) | Thinning::MeanBefore(step) => step,
+            Thinning::Middle(step) | Thinning::Mean(step) | Thinning::MeanAround(step) => step,
         }
     }
 
     /// What a wave that turns by `angle` from sample to sample keeps of its height.
     fn gain(self, angle: f64) -> f64 {
         match self {
-            Thinning::Mean(step) | Thinning::MeanBefore(step) if angle > 0.0 => {
-                (0.5 * angle * step as f64).sin() / (step as f64 * (0.5 * angle).sin())
-            }
-            _ => 1.0,
+            _ if angle <= 0.0 => 1.0,
+            Thinning::None | Thinning::Middle(_) => 1.0,
+            Thinning::Mean(step) => (0.5 * angle * step as f64).sin() / (step as f64 * (0.5 * angle).sin()),
+            Thinning::MeanAround(step) => Thinning::Mean(step).gain(angle) * (0.5 * angle * step as f64).cos(),
         }
     }
 }
@@ -170,12 +172,12 @@ impl Fold {
                 let scale = step as f64 / n.sqrt();
                 out[0] = scale * spectrum[0].re;
                 for bin in 1..*bins {
+                    let Bin { late, of_mean, around } = thinned[bin];
                     let ((sin, cos), gain) = match thinning {
                         Thinning::None => ((0.0, 1.0), 1.0),
-                        Thinning::Middle(_) => (thinned[bin].late, 1.0),
-                        Thinning::Mean(_) => (thinned[bin].late, thinned[bin].gain),
-                        // As late as the middle one, less half of what the mean goes back.
-                        Thinning::MeanBefore(_) => ((0.0, 1.0), thinned[bin].gain),
+                        Thinning::Middle(_) => (late, 1.0),
+                        Thinning::Mean(_) => (late, of_mean),
+                        Thinning::MeanAround(_) => (late, around),
                     };
                     let (re, im) = (spectrum[bin].re, spectrum[bin].im);
                     let scale = scale * 2.0_f64.sqrt() / gain;
@@ -250,7 +252,8 @@ pub(super) fn folds_of(
         let turn = |bin: usize| 2.0 * PI * bin as f64 / samples as f64;
         let bin = |bin: usize| Bin {
             late: (0.5 * (step - 1) as f64 * turn(bin)).sin_cos(),
-            gain: Thinning::Mean(step).gain(turn(bin)),
+            of_mean: Thinning::Mean(step).gain(turn(bin)),
+            around: Thinning::MeanAround(step).gain(turn(bin)),
         };
         let thinned = (0..bins).map(bin).collect();
         return vec![fold(0..samples, frequencies, Waves::Periodic { bins, all, few, thinned })];

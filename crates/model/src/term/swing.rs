@@ -41,6 +41,8 @@ pub(super) const QUALITY: Setting = Setting {
 /// Longest step of the integration \[s\]: a link of 1 kg m2 on a gap of 0.75 mrad per 0.05 Nm swings at 1.3 Hz, one of 0.05 kg m2 on
 /// 0.1 mrad/Nm at 71 Hz.
 const MAX_STEP_S: f64 = 1.1e-3;
+/// The same for means of a motion that does not repeat: its noise is not known, and what the data tell of the settings is coarser than that.
+const MAX_STEP_OF_MEANS_S: f64 = 4e-3;
 /// Most steps between two samples.
 const MAX_STEPS: u8 = 20;
 /// Most iterations of one step.
@@ -117,6 +119,10 @@ pub(super) struct Swing {
     rubbing: f64,
     /// Rigid-body torque and velocity at the sample before.
     before: Option<[f64; 2]>,
+    /// Twist, its derivatives, and the change of friction, in the step before.
+    last: [f64; 4],
+    /// Whether it follows a motion that repeats.
+    periodic: bool,
 }
 
 impl Swing {
@@ -154,6 +160,8 @@ impl Swing {
                 bend: gear.under(0.0).1,
                 rubbing: 0.0,
                 before: None,
+                last: [0.0; 4],
+                periodic: false,
             }
         })
     }
@@ -218,6 +226,7 @@ impl Law for Swing {
     }
 
     fn follow(&mut self, motion: &Motion) {
+        self.periodic = motion.periodic;
         self.error.follow(motion);
     }
 
@@ -228,28 +237,28 @@ impl Law for Swing {
         let inertia = self.error.inertia(sample, clock.index, own) - self.rotor;
         let load = own - self.rotor * sample.ddq[joint];
         let [load_before, dq_before] = self.before.replace([load, dq]).unwrap_or([load, dq]);
-        let steps = ((clock.dt / MAX_STEP_S).ceil() as u8).clamp(1, MAX_STEPS);
-        let mut theta = [0.0; 3];
-        let (mut mean, mut rubbed) = ([0.0; 3], 0.0);
+        let longest = if clock.means && !self.periodic { MAX_STEP_OF_MEANS_S } else { MAX_STEP_S };
+        let steps = ((clock.dt / longest).ceil() as u8).clamp(1, MAX_STEPS);
+        let mut mean = [0.0; 4];
         for step in 1..=steps {
             let share = f64::from(step) / f64::from(steps);
             let between = |before: f64, now: f64| before + share * (now - before);
             let (load, dq) = (between(load_before, load), between(dq_before, dq));
             // With a negative identified inertia the torque would diverge.
-            theta = self.step(load, dq, inertia.max(0.0), clock.dt / f64::from(steps));
-            if clock.means {
-                mean.iter_mut().zip(theta).for_each(|(sum, value)| *sum += value / f64::from(steps));
-                rubbed += (self.rubbing - self.friction.at(dq, joint)) / f64::from(steps);
+            let [theta, dtheta, ddtheta] = self.step(load, dq, inertia.max(0.0), clock.dt / f64::from(steps));
+            if clock.means || step == steps {
+                let now = [theta, dtheta, ddtheta, self.rubbing - self.friction.at(dq, joint)];
+                let before = std::mem::replace(&mut self.last, now);
+                let middle = before.iter().zip(now).map(|(before, now)| 0.5 * (before + now));
+                mean.iter_mut().zip(middle).for_each(|(sum, value)| *sum += value / f64::from(steps));
             }
         }
-        if !clock.means {
-            (mean, rubbed) = (theta, self.rubbing - self.friction.at(dq, joint));
-        }
-        *column = self.error.signature(sample, clock.index, mean.map(|value| -value / size));
+        let [theta, dtheta, ddtheta, rubbed] = if clock.means { mean } else { self.last };
+        *column = self.error.signature(sample, clock.index, [theta, dtheta, ddtheta].map(|value| -value / size));
         let Some(own) = column.get_mut(joint) else { return };
         // The rotor turns with the encoder.
-        *own += self.rotor * mean[2] / size;
-        self.slow = -size * *own - inertia * mean[2];
+        *own += self.rotor * ddtheta / size;
+        self.slow = -size * *own - inertia * ddtheta;
         *own += rubbed / size;
     }
 }
