@@ -34,6 +34,7 @@ const MAX_PARAMETER_RATIO: f64 = 2.0;
 fn plausibility(expected: Expected, settings: &[f64], parameters: &[f64]) -> f64 {
     match (expected, parameters, settings.first()) {
         (Expected::NotNegative, &[parameter], _) if parameter < 0.0 => 0.0,
+        (Expected::NotPositive, &[parameter], _) if parameter > 0.0 => 0.0,
         (Expected::FirstSetting, &[parameter], Some(value)) => (parameter / value).min(value / parameter).max(0.0),
         (Expected::AtMost(most), _, _) => {
             let largest = parameters.iter().fold(0.0, |largest: f64, parameter| largest.max(parameter.abs()));
@@ -273,6 +274,7 @@ mod tests {
         };
         assert!(of(Expected::Any).allows(&[-1.0]));
         assert!(of(Expected::NotNegative).allows(&[1e-4]) && !of(Expected::NotNegative).allows(&[-1e-4]));
+        assert!(of(Expected::NotPositive).allows(&[-1e-4]) && !of(Expected::NotPositive).allows(&[1e-4]));
         let swinging = of(Expected::FirstSetting);
         assert!(swinging.allows(&[0.6e-3]) && swinging.allows(&[1.9e-3]));
         assert!([0.4e-3, 2.1e-3, -1e-3, 0.0].iter().all(|gap| !swinging.allows(&[*gap])));

@@ -65,7 +65,7 @@ const FLANK_WIDTH: Setting = Setting {
     what: "load at which the teeth lie on a flank with 76 % of the gap",
     low: 0.0001,
     high: 1.0,
-    steps: 5,
+    steps: 3,
     scale: Scale::Logarithmic,
 };
 
@@ -75,7 +75,7 @@ const COMPLIANCE: Setting = Setting {
     what: "compliance of teeth and shaft",
     low: 1e-6,
     high: 1e-3,
-    steps: 1,
+    steps: 3,
     scale: Scale::Logarithmic,
 };
 

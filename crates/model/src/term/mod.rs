@@ -121,6 +121,8 @@ pub enum Expected {
     Any,
     /// 0 or more.
     NotNegative,
+    /// 0 or less.
+    NotPositive,
     /// Near the first setting, at which the column was computed.
     FirstSetting,
     /// At most this, without its sign: the column is the derivative at 0.

@@ -91,5 +91,7 @@ fn quadratic(operating_point: &OperatingPoint, site: Site, settings: &[f64]) -> 
 fn power(operating_point: &OperatingPoint, site: Site, settings: &[f64]) -> Arc<dyn Term> {
     let columns = vec![column("fn", site, "_power", unit(operating_point, joint(site), "Nm", "N"))];
     let law = |at: &At, settings: &Settings| [at.own.dq.abs().powf(settings[0]).copysign(at.own.dq), 0.0, 0.0];
-    OneRow::new(&FAMILY, "power", site, settings, columns, law).term()
+    let row = OneRow::new(&FAMILY, "power", site, settings, columns, law);
+    // Less of a power below 1 is friction that falls from rest on: Stribeck's.
+    if settings[0] < 1.0 { row.not_negative() } else { row }.term()
 }

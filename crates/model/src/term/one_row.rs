@@ -121,6 +121,11 @@ impl<L: Law> OneRow<L> {
         OneRow { expects: Expected::NotNegative, ..self }
     }
 
+    /// A law whose parameter is 0 or less.
+    pub fn not_positive(self) -> OneRow<L> {
+        OneRow { expects: Expected::NotPositive, ..self }
+    }
+
     /// A law whose parameter is at most so large.
     pub fn at_most(self, most: f64) -> OneRow<L> {
         OneRow { expects: Expected::AtMost(most), ..self }

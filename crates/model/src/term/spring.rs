@@ -79,14 +79,45 @@ fn straight(operating_point: &OperatingPoint, site: Site) -> Vec<super::Column> 
     vec![stiffness, column("spring", site, "_preload", unit(operating_point, joint, "Nm", "N"))]
 }
 
+/// It is taut on one side, and pulls back.
 fn above(operating_point: &OperatingPoint, site: Site, settings: &[f64]) -> Arc<dyn Term> {
     let columns = vec![column("spring", site, "_above", unit(operating_point, joint(site), "Nm/rad", "N/m"))];
     let law = |at: &At, settings: &Settings| [(at.own.q - settings[0]).max(0.0), 0.0, 0.0];
-    OneRow::new(&FAMILY, "above", site, settings, columns, law).term()
+    OneRow::new(&FAMILY, "above", site, settings, columns, law).not_negative().term()
 }
 
+/// As [`above`]: what pulls up has a negative torque.
 fn below(operating_point: &OperatingPoint, site: Site, settings: &[f64]) -> Arc<dyn Term> {
     let columns = vec![column("spring", site, "_below", unit(operating_point, joint(site), "Nm/rad", "N/m"))];
     let law = |at: &At, settings: &Settings| [(settings[0] - at.own.q).max(0.0), 0.0, 0.0];
-    OneRow::new(&FAMILY, "below", site, settings, columns, law).term()
+    OneRow::new(&FAMILY, "below", site, settings, columns, law).not_positive().term()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::Expected;
+    use super::super::nonlinear_viscous;
+    use super::*;
+    use crate::{Chain, Joint, JointKind, Mounting, Placement, Reduction, Structure};
+
+    #[test]
+    fn signs_are_those_of_what_pulls_back_and_brakes() {
+        let chain = Chain::modified(
+            vec![Joint { kind: JointKind::Revolute, a: 0.5, alpha: 0.0, d: 0.0, theta: 0.0 }],
+            Placement::identity(),
+        );
+        let reduction = Reduction::in_mounting(&chain, &Mounting::WALL);
+        let structure = Structure::of(chain, reduction, &["friction"]).unwrap();
+        let operating_point = structure.operating_point(&vec![0.0; structure.columns().len()]);
+        let expected = |family: &Family, form: &'static str, settings: &[f64]| {
+            let spec = Spec { family: family.id, form, site: Site::Joint(0), settings: settings.to_vec() };
+            spec.build(&operating_point).unwrap().expects()
+        };
+        assert_eq!(expected(&FAMILY, "above", &[0.5]), Expected::NotNegative);
+        assert_eq!(expected(&FAMILY, "below", &[0.5]), Expected::NotPositive);
+        // A balancer may push away from where it is at rest.
+        assert_eq!(expected(&FAMILY, "linear", &[]), Expected::Any);
+        let power = |p: f64| expected(&nonlinear_viscous::FAMILY, "power", &[p]);
+        assert_eq!([power(0.4), power(1.5)], [Expected::NotNegative, Expected::Any]);
+    }
 }
