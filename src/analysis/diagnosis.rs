@@ -154,8 +154,11 @@ impl Question<'_> {
                 (alone.len(), alone)
             }
         };
-        block.effects.extend(causes.iter().flat_map(|cause| cause.effects.clone()));
-        block.changes.append(&mut causes);
+        for cause in &mut causes {
+            block.take_what_goes_on(&mut cause.effects, &format!("in {}", cause.session));
+            block.effects.extend_from_slice(&cause.effects);
+        }
+        block.changes.extend(causes.into_iter().filter(|cause| !cause.effects.is_empty()));
         let unnamed = block.disagreements.len() - explained;
         if unnamed == 0 && explained > 0 {
             block.verdict = Verdict::of_all(&block.effects);

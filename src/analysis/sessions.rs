@@ -5,7 +5,7 @@ use crate::analysis::{pipeline, split};
 use crate::dataset::{Dataset, Run};
 use crate::failure::Failure;
 use crate::report::Band;
-use crate::report::diagnosis::{Changes, Diagnosis, Effect, Verdict};
+use crate::report::diagnosis::{Changes, Diagnosis, Verdict};
 use crate::store::{ModelFile, Provenance};
 use plumbline_diagnose::Trial;
 use plumbline_diagnose::reference::{self, Comparison, Stored};
@@ -78,12 +78,7 @@ impl Reference<'_> {
         };
         let compared = stored.compared(&kept, &unseen).map_err(Failure::job)?;
         let mut own = comparison.diagnosis(&compared);
-        for drift in &mut block.effects {
-            let gone_on: Vec<Effect> = own.effects.extract_if(.., |effect| drift.goes_on_as(effect)).collect();
-            for effect in gone_on {
-                drift.take_over(effect, &format!("since session {session}"));
-            }
-        }
+        block.take_what_goes_on(&mut own.effects, &format!("since session {session}"));
         own.effects.iter_mut().for_each(|effect| effect.since_session = Some(session));
         for Changes { session: of, effects, .. } in &mut own.changes {
             *of = format!("session {session}");

@@ -391,6 +391,15 @@ impl Diagnosis {
         self.effects.iter().any(|effect| effect.in_model) || self.empirical.iter().any(|term| term.in_model)
     }
 
+    /// Takes those effects out of what was found between runs or sessions that are more of a drift found within one; `since` tells their parameters from its own.
+    pub fn take_what_goes_on(&mut self, found: &mut Vec<Effect>, since: &str) {
+        for drift in &mut self.effects {
+            for effect in found.extract_if(.., |effect| drift.goes_on_as(effect)).collect::<Vec<_>>() {
+                drift.take_over(effect, since);
+            }
+        }
+    }
+
     /// Takes over errors on held-out runs.
     pub(super) fn set_errors(&mut self, compared: Compared) {
         self.before = compared.before;
@@ -429,4 +438,26 @@ pub struct Fitted {
     pub structure: Structure,
     /// Its parameters.
     pub identification: Identification,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use plumbline_model::term::{friction_change, friction_drift};
+
+    #[test]
+    fn what_goes_on_is_more_of_the_drift_of_its_joint() {
+        let of = |id: &str, joint: usize| Effect {
+            joints: vec![joint],
+            parameters: Parameters(vec![Quantity::new("dfc", -0.01, "Nm")]),
+            ..Effect::of(id, "")
+        };
+        let effects = vec![of(friction_change::ID, 2), of(friction_drift::ID, 6)];
+        let mut block = Diagnosis { effects, ..Diagnosis::default() };
+        let mut found = vec![of(friction_change::ID, 2), of(friction_change::ID, 6)];
+        block.take_what_goes_on(&mut found, "in later.csv");
+        assert_eq!(found.iter().map(|effect| &effect.joints[..]).collect::<Vec<_>>(), [[2]], "nothing drifts there");
+        let names = |effect: &Effect| effect.parameters.0.iter().map(|one| one.name.clone()).collect::<Vec<_>>();
+        assert_eq!(block.effects.iter().map(names).collect::<Vec<_>>(), [vec!["dfc"], vec!["dfc", "dfc in later.csv"]]);
+    }
 }
