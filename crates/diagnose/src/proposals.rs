@@ -29,6 +29,8 @@ const MIN_START_GAIN_RATIO: f64 = 0.5;
 /// Share of the arms that have a coupling of two transmissions that their robot file does not declare, as prior odds: a law of another joint's motion fits
 /// much that has no name.
 const UNDECLARED_COUPLINGS: f64 = 1e-3;
+/// Smallest score with the settings found for another state, as a share of the best, from which on they are searched again.
+const MIN_SCORE_RATIO_OF_FOUND: f64 = 0.5;
 /// Resolution of the begin of an effect in a motion that does not repeat \[s\].
 const BEGIN_RESOLUTION_S: f64 = 0.05;
 /// Resolution of a time constant, as a share of it.
@@ -129,12 +131,19 @@ impl Search<'_> {
         order.iter().zip(screened.concat()).for_each(|(&k, score)| scores[k] = score);
         order.retain(|&k| scores[k].is_finite());
         order.sort_by(|&a, &b| scores[b].total_cmp(&scores[a]));
+        let least = MIN_SCORE_RATIO_OF_FOUND * order.first().map_or(0.0, |&k| scores[k]);
         let short = shortlisted(order.into_iter().map(|k| (library[k], k >= grid)));
+        let searched = |item: &Candidate| {
+            let known = refined.iter().position(|found| std::ptr::eq(found, item));
+            known.is_none_or(|found| scores[grid + found] >= least)
+        };
         // Those of several settings take far longer than the others: the threads share the starts, not the effects.
         let starts: Vec<&Candidate> = short.iter().flatten().copied().collect();
         let (done, of) = (AtomicUsize::new(0), starts.len());
-        let tried = parallel(&starts, threads, |item| {
-            let scored = self.score(state, &self.refined(state, self.rebuilt(item)));
+        let tried = parallel(&starts, threads, |start| {
+            let item = self.rebuilt(start);
+            let item = if searched(start) { self.refined(state, item) } else { item };
+            let scored = self.score(state, &item);
             progress(Progress::Candidates { done: done.fetch_add(1, Ordering::Relaxed) + 1, of });
             scored
         });
@@ -318,5 +327,32 @@ mod tests {
             assert_eq!(refined.len(), second.len());
             assert!(second.iter().all(|one| refined.iter().any(|item| item.spec == one.item.spec)));
         });
+    }
+
+    #[test]
+    fn what_was_found_and_is_worth_less_than_half_of_the_best_is_not_searched_again() {
+        let families = ["presliding", "torque-offset"].map(|id| family(id).unwrap());
+        let spec = |settings: &[f64]| Spec {
+            family: families[0].id,
+            form: "spread",
+            site: Site::Joint(1),
+            settings: settings.to_vec(),
+        };
+        let known = spec(&[3.6e-2, 2.9]);
+        for (offset, searched) in [(0.0, true), (5.0, false)] {
+            let recorded = with_effect(2, 61, &spec(&[3e-2, 3.0]), 0.055, |_| [0.0, offset]);
+            recorded.search(&families, &Settings::default(), |search, base| {
+                let mut refined = vec![
+                    Candidate::sketch(search.evidence(), search.operating_point, known.clone(), Span::ALL).unwrap(),
+                ];
+                let proposed = search.proposed(base, |_| true, &mut refined, &|_| {});
+                let own = proposed
+                    .iter()
+                    .find(|one| one.item.spec.is_same_effect(&known) && one.item.spec.form == known.form);
+                let found = own.unwrap();
+                assert!(searched == (found.score > 0.5 * proposed[0].score), "{} {}", found.score, proposed[0].score);
+                assert_eq!(found.item.spec != known, searched, "{:?}", found.item.spec);
+            });
+        }
     }
 }

@@ -12,7 +12,7 @@ use super::span::Span;
 use super::state::State;
 use super::unseen::Unseen;
 use super::veto::Deciding;
-use plumbline_model::term::effect::{Family, OperatingPoint, Place, Spec};
+use plumbline_model::term::effect::{Family, OperatingPoint, Place, Site, Spec};
 use std::cell::OnceCell;
 
 /// Candidates above this share of the best score are tied, where the noise is unknown.
@@ -56,6 +56,15 @@ impl<'s> At<'s, '_> {
     fn of(state: &'s State) -> Self {
         At { state, unseen: OnceCell::new() }
     }
+}
+
+/// How the gates judge a candidate.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Gate {
+    Passes,
+    /// It would, if it mattered.
+    TooSmall,
+    Fails,
 }
 
 /// What the forward selection came to.
@@ -124,6 +133,15 @@ impl<'a> Search<'a> {
             let begun = self.begun(&state, chosen.item);
             state = self.settle(&state.with(&self.problem, begun.clone()));
             self.record(&mut path, &state, begun, true, chosen.score, progress);
+            while let Some(([whole, part], other)) = self.in_the_rest(&state) {
+                for gone in [whole, part] {
+                    let item = state.items[gone].clone();
+                    state = state.without(&self.problem, gone);
+                    self.record(&mut path, &state, item, false, 0.0, progress);
+                }
+                state = state.with(&self.problem, other.clone());
+                self.record(&mut path, &state, other, true, 0.0, progress);
+            }
             while let Some((worst, score)) = self.weakest(&state) {
                 let gone = state.items[worst].clone();
                 state = state.without(&self.problem, worst);
@@ -165,42 +183,48 @@ impl<'a> Search<'a> {
         path.push(step);
     }
 
-    /// Whether a candidate passes every gate. An effect of [most joints](State::has_in_most_joints) has to show alone, as has one that another joint has
+    /// Whether a candidate passes every gate.
+    fn passes(&self, at: &At<'_, 'a>, one: &Scored) -> bool {
+        self.gate(at, one) == Gate::Passes
+    }
+
+    /// How the gates judge a candidate. An effect of [most joints](State::has_in_most_joints) has to show alone, as has one that another joint has
     /// where its evidence is [twice its cost](Scored::is_clear). A [defect](Candidate::is_defect) has to where nobody says what matters. What the identified
     /// runs hardly show, the unseen ones may [prove](Deciding::prove).
-    fn passes(&self, at: &At<'_, 'a>, one: &Scored) -> bool {
+    fn gate(&self, at: &At<'_, 'a>, one: &Scored) -> Gate {
         if one.score <= 0.0 || !gates::shows(self.evidence(), &one.item) {
-            return false;
+            return Gate::Fails;
         }
         let state = at.state;
+        let repeats = self.evidence().repeats();
         let relevance = gates::relevance(self.evidence(), state, &one.tried, &one.item);
         let of_most = state.has_in_most_joints(&one.item);
-        let of_another = self.evidence().repeats() && state.has_in_another_joint(&one.item) && one.is_clear();
+        let of_another = repeats && state.has_in_another_joint(&one.item) && one.is_clear();
         let settings = self.settings;
-        let any_counts = self.evidence().repeats() && settings.threshold.is_none() && settings.usual.is_empty();
+        let any_counts = repeats && settings.threshold.is_none() && settings.usual.is_empty();
         let is_defect = any_counts && one.item.is_defect() && one.score > MIN_DEFECT_RATIO * one.penalty;
         let matters = of_most || of_another || is_defect || gates::matters(self.evidence(), &relevance, settings);
-        if !matters && self.deciding.is_none() {
-            return false;
-        }
         let folds = gates::folds(&self.problem, state, &one.tried);
         // What is in another joint as well is the more likely in this one.
-        let by_weight =
-            || !self.evidence().repeats() && state.has_in_another_joint(&one.item) && folds.confirm_by_weight();
+        let by_weight = || !repeats && state.has_in_another_joint(&one.item) && folds.confirm_by_weight();
         if folds.confirm() == Some(false) && !by_weight() {
-            return false;
+            return Gate::Fails;
         }
-        if self.evidence().repeats() {
-            let prove = |deciding: Deciding<'a>| {
-                deciding.prove(self, at.unseen.get_or_init(|| deciding.unseen(self, state)), state, one)
-            };
-            return matters || self.deciding.is_some_and(prove);
+        let prove = |deciding: Deciding<'a>| {
+            deciding.prove(self, at.unseen.get_or_init(|| deciding.unseen(self, state)), state, one)
+        };
+        if !matters && !self.deciding.is_some_and(prove) {
+            return Gate::TooSmall;
+        }
+        if repeats {
+            return Gate::Passes;
         }
         let blocks = self.evidence().folds().len();
         let least_share = if of_most { 0.0 } else { self.least_share_left_out(&one.item) };
         let hold = |penalty: f64| folds.hold(blocks, penalty, least_share);
         // The dispersion is 1 or more, and expensive.
-        hold(one.penalty) && hold(one.penalty * self.dispersion(state, one))
+        let holds = hold(one.penalty) && hold(one.penalty * self.dispersion(state, one));
+        if holds { Gate::Passes } else { Gate::Fails }
     }
 
     /// [`gates::dispersion`] of what acts in a part of the recording; 1 for all else.
@@ -222,11 +246,19 @@ impl<'a> Search<'a> {
         if fits_much { usual.max(MIN_CHANGE_SHARE) } else { usual }
     }
 
-    /// Of candidates that pass, the best; of those that are nearly as good the simplest, where the score is no exact measure.
+    /// Of candidates that pass, the best; of those that are nearly as good the simplest, where the score is no exact measure. What a better one explains that is
+    /// too small is not larger by a worse law of the same joint.
     fn choose(&self, state: &State, proposals: Vec<Scored>) -> Option<Scored> {
         let at = &At::of(state);
+        let mut small: Vec<Scored> = Vec::new();
         let mut proposals = proposals.into_iter();
-        let best = proposals.find(|one| self.passes(at, one))?;
+        let best = proposals.find(|one| {
+            let gate = self.gate(at, one);
+            if gate == Gate::TooSmall {
+                small.push(one.clone());
+            }
+            gate == Gate::Passes && !small.iter().any(|better| self.explains(state, better, one))
+        })?;
         if self.evidence().repeats() {
             let likelier = |item: &Candidate| item.is_likelier(&best.item) && item.meets(&best.item);
             let near = |one: &Scored| one.score >= best.score - STRONG_GAP && likelier(&one.item);
@@ -241,11 +273,19 @@ impl<'a> Search<'a> {
         Some(near.fold(best, |best, one| if one.cost() < best.cost() { one } else { best }))
     }
 
+    /// Whether a better candidate of the same joint leaves less than half for another one.
+    fn explains(&self, state: &State, better: &Scored, other: &Scored) -> bool {
+        let of_one_joint =
+            matches!(other.item.spec.site, Site::Joint(_)) && other.item.spec.site == better.item.spec.site;
+        let beside = || self.score(&state.with(&self.problem, better.item.clone()), &other.item);
+        of_one_joint && beside().is_none_or(|beside| 2.0 * beside.score < other.score)
+    }
+
     /// Settings of every effect searched again, beside all others.
     fn settle(&self, state: &State) -> State {
         let mut state = state.clone();
         for item in 0..state.items.len() {
-            if state.items[item].spec.settings.is_empty() || state.items.len() == 1 {
+            if state.items[item].spec.settings.is_empty() {
                 continue;
             }
             let rest = state.without(&self.problem, item);
@@ -257,6 +297,29 @@ impl<'a> Search<'a> {
             }
         }
         state
+    }
+
+    /// What acts everywhere and its opposite in a part of the recording are one effect in the rest of it: both, the last first, and the effect that explains
+    /// as much with less.
+    fn in_the_rest(&self, state: &State) -> Option<([usize; 2], Candidate)> {
+        let items = &state.items;
+        let pairs = (0..items.len()).flat_map(|whole| (0..items.len()).map(move |part| [whole, part]));
+        let same = |&[whole, part]: &[usize; 2]| {
+            items[whole].span.is_all() && !items[part].span.is_all() && items[part].spec == items[whole].spec
+        };
+        let of_pair = |[whole, part]: [usize; 2]| {
+            let both = [whole.max(part), whole.min(part)];
+            let rest = both.iter().fold(state.clone(), |rest, &item| rest.without(&self.problem, item));
+            let penalties: f64 = both.iter().map(|&item| self.penalty(&items[item])).sum();
+            let value = 2.0 * (state.fit.likelihood - rest.fit.likelihood) - penalties;
+            let others = self.library.iter().filter(|other| {
+                !other.span.is_all() && other.spec == items[part].spec && other.span != items[part].span
+            });
+            let scored = others.filter_map(|other| self.score(&rest, &self.rebuilt(other)));
+            let best = scored.max_by(|a, b| a.score.total_cmp(&b.score))?;
+            (best.score > value.max(0.0)).then_some((both, best.item))
+        };
+        pairs.filter(same).find_map(of_pair)
     }
 
     /// The effect that no longer pays for itself, if any.
@@ -288,28 +351,34 @@ impl<'a> Search<'a> {
             // cross-talk in the joint before it.
             let beside =
                 |other: &Scored| self.score(&state, &other.item).is_some_and(|own| 2.0 * own.score > other.score);
-            let Some(own) = self.score(&rest, &chosen).filter(|own| own.score > 0.0) else {
-                self.record(path, &rest, chosen, false, 0.0, progress);
-                state = rest;
-                continue;
-            };
-            let mut others = self.proposed(&rest, |other| !other.alike(&chosen), &mut refined, progress);
+            // Beside the others it may not be identifiable any more, or nothing worth: something else may be.
+            let own = self.score(&rest, &chosen).filter(|own| own.score > 0.0);
+            let other = |item: &Candidate| own.is_none() || !item.alike(&chosen);
+            let mut others = self.proposed(&rest, other, &mut refined, progress);
             others.retain(|other| other.score > 0.0 && (other.item.meets(&chosen) || !beside(other)));
-            let least = |other: &Scored| match self.evidence().repeats() {
-                true => own.score + if chosen.is_likelier(&other.item) { STRONG_GAP } else { 0.0 },
-                false if other.cost() > own.cost() => (own.score / TIE_RATIO).max(own.score + MAX_RIVAL_SCORE_GAP),
-                false => own.score + MAX_RIVAL_SCORE_GAP,
+            let least = |other: &Scored| match &own {
+                None => 0.0,
+                Some(own) if self.evidence().repeats() => {
+                    own.score + if chosen.is_likelier(&other.item) { STRONG_GAP } else { 0.0 }
+                }
+                Some(own) if other.cost() > own.cost() => (own.score / TIE_RATIO).max(own.score + MAX_RIVAL_SCORE_GAP),
+                Some(own) => own.score + MAX_RIVAL_SCORE_GAP,
             };
             let better = others.iter().find(|other| other.score > least(other) && self.passes(&at, other));
             if let Some(better) = better.filter(|_| swaps > 0) {
                 swaps -= 1;
-                self.record(path, &rest, chosen, false, own.score, progress);
+                self.record(path, &rest, chosen, false, own.map_or(0.0, |own| own.score), progress);
                 let begun = self.begun(&rest, better.item.clone());
                 state = rest.with(&self.problem, begun.clone());
                 self.record(path, &state, begun, true, better.score, progress);
                 // The replacement is the last effect now and is compared later.
                 continue;
             }
+            let Some(own) = own else {
+                self.record(path, &rest, chosen, false, 0.0, progress);
+                state = rest;
+                continue;
+            };
             let mut rivals: Vec<Rival> = Vec::new();
             // The same effect since another time is no other explanation.
             let itself = |other: &Candidate| {
@@ -347,5 +416,38 @@ impl<'a> Search<'a> {
             independence: one.tried.independence,
             rivals,
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::synthetic::{FLOOR, with_effect};
+    use plumbline_model::term::effect::family;
+
+    #[test]
+    fn what_is_too_small_is_not_larger_by_a_worse_law_of_its_joint() {
+        let families = [family("stribeck").unwrap()];
+        let peak = Spec { family: "stribeck", form: "exponential", site: Site::Joint(1), settings: vec![0.15] };
+        let recorded = with_effect(4, 16, &peak, 4.0 * FLOOR, |_| [0.0; 2]);
+        recorded.search(&families, &Settings::default(), |search, base| {
+            let mut proposals = search.propose(base, |item| item.joints() == [1]);
+            proposals.truncate(2);
+            let rms = |one: &Scored| gates::relevance(search.evidence(), base, &one.tried, &one.item).rms[1];
+            let [larger, smaller] = [0, 1].map(|k| rms(&proposals[k]));
+            assert!(larger > smaller);
+            let chosen = |threshold: f64, scores: [f64; 2]| {
+                let settings = Settings { threshold: Some(threshold), ..Settings::default() };
+                let mut proposals = proposals.clone();
+                proposals.iter_mut().zip(scores).for_each(|(one, score)| one.score = score);
+                proposals.sort_by(|a, b| b.score.total_cmp(&a.score));
+                let search = Search { settings: &settings, ..*search };
+                search.choose(base, proposals).map(|one| one.item.spec.form)
+            };
+            let between = 0.5 * (larger + smaller);
+            assert_eq!(chosen(between, [180.0, 170.0]), Some("exponential"));
+            assert_eq!(chosen(0.5 * smaller, [170.0, 180.0]), Some("gaussian"));
+            assert_eq!(chosen(between, [170.0, 180.0]), None, "the better one is too small");
+        });
     }
 }

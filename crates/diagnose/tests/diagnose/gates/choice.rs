@@ -2,7 +2,7 @@
 
 use super::search::{OFFSET, constant, select, taken};
 use super::synthetic::{At, FLOOR, once, once_with_effect, recorded, with_effect};
-use plumbline_diagnose::{Candidate, Scored, Search, Settings, State};
+use plumbline_diagnose::{Candidate, Scored, Search, Settings, Span, State};
 use plumbline_model::term::effect::{Family, Site, Spec, family};
 use plumbline_model::term::{asymmetric_coulomb, asymmetric_viscous, spring, torque_offset};
 
@@ -137,6 +137,51 @@ fn a_better_effect_takes_the_place_of_one_that_came_first() {
         let path: Vec<_> = selected.path.iter().map(|step| (step.item.spec.family, step.added)).collect();
         assert_eq!(path, [("asymmetric-coulomb", true), ("asymmetric-coulomb", false), ("torque-offset", true)]);
     });
+}
+
+#[test]
+fn what_is_not_identifiable_beside_the_others_gives_its_place_to_what_is() {
+    let friction =
+        |p: f64| Spec { family: "nonlinear-viscous", form: "power", site: Site::Joint(1), settings: vec![p] };
+    let families = [family("nonlinear-viscous").unwrap()];
+    let settings = Settings { steps: 0, ..Settings::default() };
+    with_effect(4, 15, &friction(0.5), 30.0 * FLOOR, |_| [0.0; 2]).search(&families, &settings, |search, base| {
+        // A power of nearly one is the viscous friction that the model has.
+        let evidence = search.problem.evidence;
+        let item = |p: f64| Candidate::sketch(evidence, search.operating_point, friction(p), Span::ALL).unwrap();
+        let known =
+            (0..20).map(|k| item(0.8 + 0.01 * f64::from(k))).find(|item| search.score(base, item).is_none()).unwrap();
+        let selected = search.select(base.clone(), std::slice::from_ref(&known), &|_| {});
+        assert_eq!(taken(&selected), [("nonlinear-viscous", 2)]);
+        assert!(selected.found[0].score > 100.0 && selected.state.items[0].spec != known.spec);
+    });
+}
+
+#[test]
+fn what_acts_everywhere_but_in_one_trajectory_acts_in_the_others() {
+    let mut first = 0;
+    for seed in 0..8 {
+        let offset = |at: &At| [0.0, if at.trajectory > 0 { 8.0 * FLOOR } else { 0.0 }];
+        recorded(4, 130 + seed, offset).search(&OFFSET, &Settings::default(), |search, base| {
+            let evidence = search.problem.evidence;
+            let everywhere = search.library.iter().find(|item| item.joints() == [1]).unwrap();
+            let second = evidence.begins()[1];
+            let spans = [Span { from: 0.0, to: second, rise: 0.0 }, Span::since(second)];
+            let parts = spans.map(|span| everywhere.in_folds(evidence, span).unwrap());
+            let scores = parts.each_ref().map(|part| {
+                let state = base.with(&search.problem, everywhere.clone());
+                search.score(&state, part).unwrap().score
+            });
+            // Beside an offset of the whole recording both explain the same.
+            first += usize::from(scores[0] > scores[1]);
+            let library = [vec![everywhere.clone()], parts.to_vec()].concat();
+            let search = Search { library: &library, ..*search };
+            let selected = search.select(base.clone(), std::slice::from_ref(everywhere), &|_| {});
+            let spans: Vec<Span> = selected.state.items.iter().map(|item| item.span).collect();
+            assert_eq!(spans, [Span::since(second)], "{scores:?}");
+        });
+    }
+    assert!(first > 0, "left to the score alone, the offset of the first alone is never taken");
 }
 
 /// An offset and a drag of one side in a motion that does not repeat, of which the offset has a share: the one or the other is the better single effect.
