@@ -132,11 +132,10 @@ impl Search<'_> {
         order.retain(|&k| scores[k].is_finite());
         order.sort_by(|&a, &b| scores[b].total_cmp(&scores[a]));
         let least = MIN_SCORE_RATIO_OF_FOUND * order.first().map_or(0.0, |&k| scores[k]);
+        let poor: Vec<&Candidate> =
+            order.iter().filter(|&&k| k >= grid && scores[k] < least).map(|&k| library[k]).collect();
+        let searched = |item: &Candidate| !poor.iter().any(|found| std::ptr::eq(*found, item));
         let short = shortlisted(order.into_iter().map(|k| (library[k], k >= grid)));
-        let searched = |item: &Candidate| {
-            let known = refined.iter().position(|found| std::ptr::eq(found, item));
-            known.is_none_or(|found| scores[grid + found] >= least)
-        };
         // Those of several settings take far longer than the others: the threads share the starts, not the effects.
         let starts: Vec<&Candidate> = short.iter().flatten().copied().collect();
         let (done, of) = (AtomicUsize::new(0), starts.len());

@@ -139,8 +139,8 @@ impl<'a> Search<'a> {
                     state = state.without(&self.problem, gone);
                     self.record(&mut path, &state, item, false, 0.0, progress);
                 }
-                state = state.with(&self.problem, other.clone());
-                self.record(&mut path, &state, other, true, 0.0, progress);
+                state = state.with(&self.problem, other.item.clone());
+                self.record(&mut path, &state, other.item, true, other.score, progress);
             }
             while let Some((worst, score)) = self.weakest(&state) {
                 let gone = state.items[worst].clone();
@@ -277,8 +277,12 @@ impl<'a> Search<'a> {
     fn explains(&self, state: &State, better: &Scored, other: &Scored) -> bool {
         let of_one_joint =
             matches!(other.item.spec.site, Site::Joint(_)) && other.item.spec.site == better.item.spec.site;
-        let beside = || self.score(&state.with(&self.problem, better.item.clone()), &other.item);
-        of_one_joint && beside().is_none_or(|beside| 2.0 * beside.score < other.score)
+        of_one_joint && !self.has_half_left(&state.with(&self.problem, better.item.clone()), other)
+    }
+
+    /// Whether a candidate that was scored elsewhere is worth more than half of that in a state.
+    fn has_half_left(&self, state: &State, one: &Scored) -> bool {
+        self.score(state, &one.item).is_some_and(|own| 2.0 * own.score > one.score)
     }
 
     /// Settings of every effect searched again, beside all others.
@@ -301,7 +305,7 @@ impl<'a> Search<'a> {
 
     /// What acts everywhere and its opposite in a part of the recording are one effect in the rest of it: both, the last first, and the effect that explains
     /// as much with less.
-    fn in_the_rest(&self, state: &State) -> Option<([usize; 2], Candidate)> {
+    fn in_the_rest(&self, state: &State) -> Option<([usize; 2], Scored)> {
         let items = &state.items;
         let pairs = (0..items.len()).flat_map(|whole| (0..items.len()).map(move |part| [whole, part]));
         let same = |&[whole, part]: &[usize; 2]| {
@@ -317,7 +321,7 @@ impl<'a> Search<'a> {
             });
             let scored = others.filter_map(|other| self.score(&rest, &self.rebuilt(other)));
             let best = scored.max_by(|a, b| a.score.total_cmp(&b.score))?;
-            (best.score > value.max(0.0)).then_some((both, best.item))
+            (best.score > value.max(0.0)).then_some((both, best))
         };
         pairs.filter(same).find_map(of_pair)
     }
@@ -347,15 +351,14 @@ impl<'a> Search<'a> {
             let rest = state.without(&self.problem, item);
             let at = At::of(&rest);
             let chosen = state.items[item].clone();
-            // In another joint it is another explanation where it is worth little beside the chosen one: a gain of one joint is one of all others, and
-            // cross-talk in the joint before it.
-            let beside =
-                |other: &Scored| self.score(&state, &other.item).is_some_and(|own| 2.0 * own.score > other.score);
             // Beside the others it may not be identifiable any more, or nothing worth: something else may be.
             let own = self.score(&rest, &chosen).filter(|own| own.score > 0.0);
             let other = |item: &Candidate| own.is_none() || !item.alike(&chosen);
             let mut others = self.proposed(&rest, other, &mut refined, progress);
-            others.retain(|other| other.score > 0.0 && (other.item.meets(&chosen) || !beside(other)));
+            // In another joint it is another explanation where it is worth little beside the chosen one: a gain of one joint is one of all others, and
+            // cross-talk in the joint before it.
+            others
+                .retain(|other| other.score > 0.0 && (other.item.meets(&chosen) || !self.has_half_left(&state, other)));
             let least = |other: &Scored| match &own {
                 None => 0.0,
                 Some(own) if self.evidence().repeats() => {
