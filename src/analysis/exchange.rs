@@ -4,7 +4,7 @@ use crate::analysis::SAME_MOUNTING;
 use crate::analysis::diagnosis::{self, Diagnosed, Question};
 use crate::dataset::Run;
 use crate::failure::Failure;
-use plumbline_diagnose::Diagnosis;
+use plumbline_diagnose::{Diagnosis, Disagreement};
 use std::collections::BTreeSet;
 
 /// Periods from which on a motion counts as repeating when runs are exchanged.
@@ -15,8 +15,10 @@ const MIN_IDENTIFIED: usize = 2;
 const COST_OF_MODEL: usize = 2;
 /// one that acts in some runs only,
 const COST_OF_OTHERS: usize = 3;
-/// and one thing without a name: two effects are rather believed.
+/// one thing without a name: two effects are rather believed;
 const COST_OF_NAMELESS: usize = 4;
+/// and a run that only the errors of the parameters explain.
+const COST_OF_UNDETERMINED: usize = 2;
 
 /// Diagnoses runs of one arm; an unseen run that differs is identified from, too, where that explains more with less. Returns the runs that were
 /// identified from and the unseen ones.
@@ -57,7 +59,11 @@ fn kinds(of: &Diagnosis) -> usize {
 fn cost((of, unnamed): (&Diagnosis, usize)) -> usize {
     let of_model = of.effects.iter().filter(|effect| effect.in_model).count();
     let others = of.effects.len() - of_model;
-    COST_OF_MODEL * of_model + COST_OF_OTHERS * others + COST_OF_NAMELESS * (of.unexplained.len() + unnamed)
+    let nameless = of.unexplained.len() + unnamed;
+    COST_OF_MODEL * of_model
+        + COST_OF_OTHERS * others
+        + COST_OF_NAMELESS * nameless
+        + COST_OF_UNDETERMINED * of.undetermined.len()
 }
 
 /// Runs to identify from and unseen ones, where those that decide on findings and differ are identified from. If no other is unseen, the last run that
@@ -67,7 +73,10 @@ fn exchanged<'a>(question: &Question<'a>, block: &Diagnosis) -> Option<(Vec<&'a 
     let repeats = |run: &Run| run.data.periods() >= MIN_PERIODS;
     let comparable =
         |run: &Run| run.data.mounting.angle_to(&first.data.mounting) < SAME_MOUNTING && repeats(run) == repeats(first);
-    let differs = |run: &Run| block.disagreements.iter().any(|one| one.run == run.data.name);
+    // What only the errors of the parameters explain is not excited by the identified runs.
+    let of_found = block.undetermined.iter().filter(|_| block.effects.iter().any(|effect| effect.in_model));
+    let differing: Vec<&Disagreement> = block.disagreements.iter().chain(of_found).collect();
+    let differs = |run: &Run| differing.iter().any(|one| one.run == run.data.name);
     let (deciding, measuring) = question.unseen.split_at(diagnosis::deciding(question.unseen.len()));
     let (moved, mut unseen): (Vec<&Run>, Vec<&Run>) = deciding.iter().partition(|run| differs(run) && comparable(run));
     if moved.is_empty() {
@@ -87,9 +96,9 @@ mod tests {
     use super::*;
     use crate::dataset::Role;
     use nalgebra::DMatrix;
+    use plumbline_diagnose::Effect;
     use plumbline_diagnose::errors::Of;
     use plumbline_diagnose::outcome::Unexplained;
-    use plumbline_diagnose::{Disagreement, Effect};
     use plumbline_identify::Settings;
     use plumbline_identify::solve::Options;
     use plumbline_model::{Mounting, Robot};
@@ -104,6 +113,15 @@ mod tests {
 
     /// Names of the runs to identify from and of the unseen ones after an exchange, where these `differ`.
     fn after(identify: &[&Run], unseen: &[&Run], differ: &[&str]) -> Option<[Vec<String>; 2]> {
+        let block = Diagnosis { disagreements: differ.iter().map(differs).collect(), ..Diagnosis::default() };
+        after_of(identify, unseen, &block)
+    }
+
+    fn differs(run: &&str) -> Disagreement {
+        Disagreement { run: run.to_string(), joint: 1, ..Disagreement::default() }
+    }
+
+    fn after_of(identify: &[&Run], unseen: &[&Run], block: &Diagnosis) -> Option<[Vec<String>; 2]> {
         let robot = Robot::load("panda", None).unwrap();
         let structure = crate::setup::friction_structure(&robot, &Mounting::WALL);
         let question = Question {
@@ -116,10 +134,8 @@ mod tests {
             diagnosis: &plumbline_diagnose::Settings::default(),
             of: Of::Filtered,
         };
-        let differs = |run: &&str| Disagreement { run: run.to_string(), joint: 1, ..Disagreement::default() };
-        let block = Diagnosis { disagreements: differ.iter().map(differs).collect(), ..Diagnosis::default() };
         let names = |runs: Vec<&Run>| runs.iter().map(|run| run.data.name.clone()).collect();
-        exchanged(&question, &block).map(|(identify, unseen)| [names(identify), names(unseen)])
+        exchanged(&question, block).map(|(identify, unseen)| [names(identify), names(unseen)])
     }
 
     #[test]
@@ -133,6 +149,20 @@ mod tests {
         let (tilted, once) = (recording("tilted", Mounting::UPRIGHT, true), recording("once", Mounting::WALL, false));
         assert_eq!(after(&[&a, &b], &[&tilted, &d], &["tilted"]), None);
         assert_eq!(after(&[&a, &b], &[&once, &d], &["once"]), None);
+    }
+
+    /// Of a plain model they say that nothing is determined; effects may be what they do not show.
+    #[test]
+    fn a_run_that_the_errors_of_the_parameters_explain_is_identified_from_where_there_are_effects() {
+        let [a, b, c] = ["a", "b", "c"].map(|name| recording(name, Mounting::WALL, true));
+        let effect = |in_model: bool| Effect { id: "spring".into(), in_model, ..Effect::default() };
+        let block =
+            |effects: Vec<Effect>| Diagnosis { effects, undetermined: vec![differs(&"c")], ..Diagnosis::default() };
+        let after = |effects: Vec<Effect>| after_of(&[&a, &b], &[&c], &block(effects));
+        assert_eq!(after(vec![effect(true)]).unwrap()[0], ["a", "c"]);
+        assert_eq!((after(vec![]), after(vec![effect(false)])), (None, None));
+        let determined = Diagnosis { undetermined: Vec::new(), ..block(vec![effect(true)]) };
+        assert!(explains_more((&block(vec![effect(true)]), 0), (&determined, 0)), "with as many effects");
     }
 
     #[test]

@@ -6,7 +6,7 @@ use super::curves;
 use super::delivery::{self, Delivery};
 use super::detectable;
 use super::deviations::Deviations;
-use super::disagreement::{Disagreements, disagreements};
+use super::disagreement::{Disagreements, above_floor, disagreements};
 use super::empirical::{Learned, Learning};
 use super::errors::Of;
 use super::evidence::{Evidence, Trial};
@@ -167,8 +167,15 @@ pub fn diagnose(input: &Input, settings: &Settings, progress: &Watch) -> Result<
     let others = [veto.clone(), judge.clone()].concat();
     let before = Fitted { structure: structure.clone(), identification: before.clone() };
     let plain = Some(&before).filter(|_| kept.contains(&true));
-    let Disagreements { different, undetermined } =
+    let Disagreements { different, mut undetermined } =
         disagreements(structure.chain(), &evidence, &identified, &others, &after, plain, settings.band);
+    if let Some(floor) =
+        compared.as_ref().and_then(|compared| compared.floor.as_ref()).filter(|_| !effects.iter().any(Effect::counts))
+    {
+        let mut above = above_floor(&others, &after, floor, settings.judged_by);
+        above.retain(|one| !different.iter().chain(&undetermined).any(|other| other.run == one.run));
+        undetermined.extend(above);
+    }
     let mut diagnosis = Diagnosis {
         verdict: verdict(&effects, residuals.is_empty() && different.is_empty(), undetermined.is_empty()),
         confirmation: Some(confirmation(&evidence)),
@@ -254,8 +261,8 @@ fn notes(
     notes.extend(undetermined.iter().map(|one| {
         let Disagreement { run, joint, rms, expected, .. } = one;
         format!(
-            "run {run} has {rms:.3} Nm in joint {joint} where the noise and what the model lacks make {expected:.3} Nm; the errors of the parameters explain \
-             it, so a motion that determines them better has to be recorded before more can be said"
+            "run {run} has {rms:.3} Nm in joint {joint} where the noise and what the model lacks make {expected:.3} Nm; the errors of the parameters explain it, \
+             or slow noise of few periods, so more periods or a motion that determines them better have to be recorded before more can be said"
         )
     }));
     let also = match input.judge {

@@ -3,11 +3,13 @@
 //! One model for all runs is an assumption. A tool that was picked up, a base that was tilted or a sensor that was zeroed between two runs breaks
 //! it, and the runs that were identified from cannot show that.
 
+use super::errors::Of;
 use super::evidence::{BAND_EDGES_HZ, Evidence, LOW_BANDS, Trial};
 use super::outcome::{Disagreement, Fitted};
 use super::state::{mean_square_below, unmodelled_below};
 use super::unseen::Unseen;
 use nalgebra::DVector;
+use plumbline_identify::validate_parameters;
 use plumbline_model::Chain;
 use statrs::distribution::{ContinuousCDF, FisherSnedecor};
 
@@ -19,6 +21,9 @@ const MIN_RMS_RATIO_WITH_EFFECTS: f64 = 2.5;
 const MAX_REST_OF_EFFECTS: f64 = 0.2;
 /// Probability that noise alone lets any joint of any run differ.
 const FALSE_ALARM_PROBABILITY: f64 = 1e-3;
+
+/// Largest ratio of an unseen run's reported error to the reported noise floor beside which nothing is significant.
+const MAX_FLOORS_OF_NOTHING: f64 = 2.0;
 
 /// Errors of the parameters to expect, in their standard deviations.
 const PARAMETER_DEVIATIONS: f64 = 1.5;
@@ -117,6 +122,25 @@ pub fn disagreements(
         }
     }
     found
+}
+
+/// Unseen runs whose reported error exceeds twice the noise `floor` that is reported beside it \[Nm\], the worst joint of each: noise floors of few periods and
+/// the errors of the parameters let such a run agree, and the reader of the two figures sees one that does not.
+pub fn above_floor(unseen: &[Trial], fitted: &Fitted, floor: &[f64], of: Of) -> Vec<Disagreement> {
+    let worst = |trial: &Trial| {
+        let rms = validate_parameters(trial.experiment, &fitted.structure, &fitted.identification.beta);
+        let errors = if of == Of::Raw { rms.raw } else { rms.filtered };
+        let of_joint = |(joint, (rms, &floor)): (usize, (f64, &f64))| Disagreement {
+            run: trial.experiment.name.clone(),
+            joint: joint + 1,
+            rms,
+            expected: floor,
+            limit: MAX_FLOORS_OF_NOTHING * floor,
+        };
+        let all = errors.into_iter().zip(floor).enumerate().map(of_joint);
+        all.max_by(|a, b| a.ratio().total_cmp(&b.ratio())).filter(|worst| worst.ratio() > 1.0)
+    };
+    unseen.iter().filter_map(worst).collect()
 }
 
 /// Ratio of two mean squares of the same noise with these degrees of freedom that is exceeded with a probability: quantile of the F distribution.

@@ -5,7 +5,7 @@ use super::rows::Rows;
 use super::span::Span;
 use plumbline_core::parallel;
 use plumbline_model::term::effect::{FAMILIES, Family, Form, OperatingPoint, Setting, Site, Spec, Stratum};
-use plumbline_model::term::{Expected, Term, friction_change, friction_drift};
+use plumbline_model::term::{Expected, Term, encoder_offset, friction_change, friction_drift};
 
 /// Joints whose transmissions may be coupled without a declaration: those of one wrist.
 const COUPLED_JOINTS_APART: usize = 2;
@@ -28,6 +28,8 @@ pub struct Candidate {
 
 /// Largest ratio of a parameter to the setting that its column was evaluated at, or its inverse; or to the largest expected.
 const MAX_PARAMETER_RATIO: f64 = 2.0;
+/// A parameter that is a setting, too, is at most this ratio of the setting's limits beyond them.
+const BEYOND_LIMIT_RATIO: f64 = 1.1;
 
 /// Plausibility of an effect's parameters, 0 to 1: 0 for a negative gap, less than 1 for a gap that differs from the setting that its column was evaluated
 /// at, and for an encoder that is off by more than its column is good for.
@@ -80,9 +82,17 @@ impl Candidate {
         plausibility(self.expected, &self.spec.settings, parameters)
     }
 
-    /// Whether these parameters are plausible enough for the candidate to be selected.
+    /// Whether these parameters are plausible enough for the candidate to be selected. One that is the first setting, too, is within the setting's limits: past
+    /// them the likelihood has no maximum in the range of the effect.
     pub fn allows(&self, parameters: &[f64]) -> bool {
-        allows(self.expected, &self.spec.settings, parameters)
+        let setting = self.spec.form().and_then(|form| form.settings.first());
+        let within = match (self.expected, parameters, setting) {
+            (Expected::FirstSetting, &[parameter], Some(Setting { low, high, .. })) => {
+                (low / BEYOND_LIMIT_RATIO..=BEYOND_LIMIT_RATIO * high).contains(&parameter)
+            }
+            _ => true,
+        };
+        within && allows(self.expected, &self.spec.settings, parameters)
     }
 
     /// Number of parameters: linear and nonlinear, the begin of a part among them.
@@ -172,10 +182,11 @@ pub fn library(
     span: Span,
     threads: usize,
 ) -> Vec<Candidate> {
-    // A law of another joint's motion fits much that has no name, and unknown noise does not tell the two apart.
+    // A law of another joint's motion fits much that has no name, and unknown noise does not tell the two apart; one that takes torque of both joints fits
+    // nothing else.
     let plausible = |family: &Family, form: &Form, site: Site| match site {
         Site::Pair { row, cause } if is_undeclared_coupling(family, site, operating_point) => {
-            evidence.repeats() && are_near(row, cause)
+            (evidence.repeats() || form.is_of_both_joints()) && are_near(row, cause)
         }
         Site::Joint(joint) if family.rare.with_rotor == Some(form.name) => operating_point.rotors[joint],
         _ => true,
@@ -200,11 +211,13 @@ fn are_near(one: usize, other: usize) -> bool {
     one.abs_diff(other) <= COUPLED_JOINTS_APART
 }
 
-/// Every form of families at every site of an arm that passes, at every start value of its settings.
+/// Every form of families at every site of an arm that passes, at every start value of its settings. The zero of joint 1 is none: it turns the arm about its
+/// first axis as a tilt of the base does, whose angle is known less well.
 pub fn specs(families: &[&'static Family], joints: usize, passes: impl Fn(&Family, &Form, Site) -> bool) -> Vec<Spec> {
+    let turns_base = |family: &Family, site: Site| family.id == encoder_offset::ID && site == Site::Joint(0);
     let mut specs = Vec::new();
     for family in families {
-        for site in family.place.sites(joints) {
+        for site in family.place.sites(joints).into_iter().filter(|site| !turns_base(family, *site)) {
             for form in family.forms.iter().filter(|form| passes(family, form, site)) {
                 specs.extend(grid(family, form, site));
             }
@@ -278,6 +291,14 @@ mod tests {
         let swinging = of(Expected::FirstSetting);
         assert!(swinging.allows(&[0.6e-3]) && swinging.allows(&[1.9e-3]));
         assert!([0.4e-3, 2.1e-3, -1e-3, 0.0].iter().all(|gap| !swinging.allows(&[*gap])));
+        let stiff = |c: f64| {
+            let spec =
+                Spec { family: "joint-elasticity", form: "swinging", site: Site::Joint(0), settings: vec![c, 2.5] };
+            Candidate { spec, ..of(Expected::FirstSetting) }
+        };
+        // The limits are 1e-5 and 1e-2 rad/Nm.
+        assert!(stiff(1e-5).allows(&[0.95e-5]) && !stiff(1e-5).allows(&[0.8e-5]));
+        assert!(stiff(1e-2).allows(&[1.05e-2]) && !stiff(1e-2).allows(&[1.2e-2]));
         let encoder = of(Expected::AtMost(0.05));
         assert!(encoder.allows(&[-0.09]) && encoder.allows(&[0.0, 0.0]) && !encoder.allows(&[0.01, -0.11]));
         assert!(encoder.plausibility(&[0.04]) == 1.0 && encoder.plausibility(&[-0.1]) == 0.5);

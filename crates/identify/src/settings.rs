@@ -72,6 +72,8 @@ pub struct Settings {
     pub skip_periods: usize,
     /// Whether every period's deviation from the mean is kept; needed by estimators for noisy positions.
     pub keep_periods: bool,
+    /// Whether both ends of an aperiodic run are left out, where the low-pass lets noise through: a fit averages it, and a search explains it.
+    pub without_ends: bool,
     /// Whether measured velocities of an aperiodic run are used, where given, and accelerations are differentiated from them. They are more
     /// accurate at reversals with a low sampling rate or an elastic gear.
     pub measured_velocities: bool,
@@ -145,6 +147,7 @@ impl Default for Settings {
             derivative: Derivative::Spectral,
             skip_periods: 0,
             keep_periods: false,
+            without_ends: false,
             measured_velocities: false,
             trim: 0.0,
             rest: None,

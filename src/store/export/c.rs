@@ -48,10 +48,10 @@ pub fn write(model: &TorqueModel) -> Exported {
         for (c, value) in beta[range].iter().enumerate() {
             let column = match (&spec, &entries) {
                 (Some(spec), _) => effects::column(&mut program, spec, term.original(c), &load, &operating_point),
-                (None, Some(entries)) => effects::entry(&mut program, entries[c]),
-                (None, None) => None,
+                (None, Some(entries)) => effects::entry(&mut program, entries[c]).into_iter().collect(),
+                (None, None) => Vec::new(),
             };
-            if let Some((row, factor)) = column {
+            for (row, factor) in column {
                 tau[row] = program.sum(&[(tau[row].clone(), Value::Known(1.0)), (Value::Known(*value), factor)]);
             }
         }

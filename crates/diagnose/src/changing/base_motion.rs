@@ -29,6 +29,10 @@ const MAX_LINES: usize = 4;
 const SMOOTHING_RATIO: f64 = 1.3;
 /// A line explains at least this share of what its joints do at its frequency beyond their noise.
 const MIN_EXPLAINED_RATIO: f64 = 0.5;
+/// and at least this share where other runs do not have it: of many frequencies slow noise makes a line of one.
+const MIN_EXPLAINED_RATIO_ALONE: f64 = 0.9;
+/// Lines of several runs that are nearer than this are one \[Hz\]. A line of a 100 s recording is known to about a hundredth of it.
+const SAME_LINE_HZ: f64 = 0.03;
 /// Least squares in units of the noise that a known line takes in another run: of six parameters noise alone takes 22 in one of a thousand.
 const MIN_KNOWN_GAIN: f64 = 22.0;
 /// Evaluations of the search for a frequency.
@@ -60,6 +64,11 @@ pub struct BaseMotion {
 }
 
 impl BaseMotion {
+    /// Whether another one is the same line.
+    pub(super) fn is_same_line(&self, other: &BaseMotion) -> bool {
+        (self.frequency - other.frequency).abs() < SAME_LINE_HZ
+    }
+
     /// What it does to the periods of its run along their mean motion, each at the samples of `Repeats`, P N x n \[Nm\]; `None` without repeats.
     pub(super) fn of_periods(&self, experiment: &Experiment, load: &Load) -> Option<DMatrix<f64>> {
         let (motion, repeats) = (&experiment.motion, experiment.repeats.as_ref()?);
@@ -82,6 +91,15 @@ impl BaseMotion {
             |k: usize, joint: usize| gravity[joint].row(k).tr_dot(&(self.cosine * cosines[k] + self.sine * sines[k]));
         DMatrix::from_fn(motion.samples(), motion.joints(), torque)
     }
+}
+
+/// Lines of several runs, and of one run alone those that explain nearly all of what the joints do there; of a single run all.
+pub(super) fn plausible(lines: Vec<BaseMotion>, runs: usize) -> Vec<BaseMotion> {
+    let has = |one: &BaseMotion, other: &BaseMotion| other.run != one.run && other.is_same_line(one);
+    let plausible = |one: &&BaseMotion| {
+        runs < 2 || one.explained > MIN_EXPLAINED_RATIO_ALONE || lines.iter().any(|other| has(one, other))
+    };
+    lines.iter().filter(plausible).cloned().collect()
 }
 
 /// The lines of one run that repeats, the strongest first, and what they do to its deviations, P N x n. `rest` are its centred deviations, P N x n.

@@ -4,8 +4,6 @@ use super::{BaseMotion, Changing, Contact, Course, Drift, Drifting, Hygiene, Sha
 use crate::outcome::{Acts, Diagnosis, Effect, Folds, JointFacts, Parameters, Quantity, Verdict, places};
 use plumbline_model::term::{base_motion, contact};
 
-/// Lines of several runs that are nearer than this are one \[Hz\]. A line of a 100 s recording is known to about a hundredth of it.
-const SAME_LINE_HZ: f64 = 0.03;
 /// Times that are nearer than this are one \[s\].
 const SAME_TIME_S: f64 = 0.1;
 
@@ -201,7 +199,7 @@ impl Changing {
 pub(super) fn lines(found: &[BaseMotion]) -> Vec<(&BaseMotion, usize)> {
     let mut lines: Vec<(&BaseMotion, Vec<&str>)> = Vec::new();
     for one in found {
-        match lines.iter_mut().find(|(line, _)| (line.frequency - one.frequency).abs() < SAME_LINE_HZ) {
+        match lines.iter_mut().find(|(line, _)| line.is_same_line(one)) {
             Some((line, runs)) => {
                 if !runs.contains(&one.run.as_str()) {
                     runs.push(&one.run);

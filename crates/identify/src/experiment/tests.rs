@@ -1,5 +1,8 @@
 use super::*;
 use crate::Derivative;
+use rand::{Rng, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use rand_distr::StandardNormal;
 
 pub(super) fn run(period: Option<f64>, seconds: f64) -> Run {
     let count = (seconds * 1000.0) as usize + 1;
@@ -84,6 +87,28 @@ fn samples_at_rest_are_excluded_from_regression_and_errors() {
     let periodic = Run { period: Some(9.0), ..run };
     let periodic = Experiment::prepare(&periodic, &Settings { rest: Some(0.01), ..Settings::default() }).unwrap();
     assert!(periodic.resting().iter().all(|resting| !resting));
+}
+
+/// White noise behind the low-pass is `sigma sqrt(2 f_c dt)` within a run, and `sigma` at its first and last sample.
+#[test]
+fn the_ends_of_an_aperiodic_run_count_no_noise_that_the_filter_lets_through() {
+    use super::super::validate::validate;
+    let mut rng = ChaCha8Rng::seed_from_u64(4);
+    let (mut ends, mut counted, mut expected) = (0.0, 0.0, 0.0);
+    for _ in 0..40 {
+        let mut noise = run(None, 3.0);
+        noise.tau = DMatrix::from_fn(noise.t.len(), 2, |_, _| rng.sample(StandardNormal));
+        let settings = Settings { without_ends: true, ..Settings::default() };
+        let experiment = Experiment::prepare(&noise, &settings).unwrap();
+        let zero = |motion: &Motion| DMatrix::zeros(motion.samples(), 2);
+        counted += validate(&experiment, zero).filtered[0].powi(2) / 40.0;
+        let filtered = experiment.filter(&experiment.stacked_tau());
+        ends += filtered[0].powi(2) / 40.0;
+        let bandwidth: f64 = (0..500).map(|f| experiment.gain(f64::from(f)).powi(2)).sum();
+        expected = 2.0 * (bandwidth - 0.5) * 1e-3;
+    }
+    assert!((counted / expected).sqrt() < 1.1, "{counted} {expected}");
+    assert!((ends / expected).sqrt() > 5.0, "{ends} {expected}");
 }
 
 #[test]

@@ -7,9 +7,12 @@ use super::position_error::{MAX_POSITION_ERROR, PositionError};
 use super::{Expected, Motion, Sample};
 use plumbline_core::JointVec;
 
+/// Identity.
+pub const ID: &str = "encoder-offset";
+
 /// A constant error of one joint's position: its true position minus the measured one.
 pub static FAMILY: Family = Family {
-    id: "encoder-offset",
+    id: ID,
     physics: "The zero of a joint's encoder differs from the zero of the robot's kinematics.",
     place: Place::Joint,
     forms: &[Form {
@@ -28,6 +31,7 @@ pub static FAMILY: Family = Family {
             "they hold most of it; a calibration with a tracker or a calibrated pose tells the two apart",
         ),
         confounded("joint-elasticity", SECOND_MOUNTING),
+        confounded("mounting", "of joint 1 they are the same, and the tilt is named; level the base"),
     ],
     reference: "Khalil, Dombre, Modeling, Identification and Control of Robots (2002), chapter 11",
     rare: Rare { may_change: true, comes_at_once: true, ..Rare::NONE },

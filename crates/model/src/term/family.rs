@@ -52,6 +52,11 @@ impl Form {
     pub fn is_approximate(&self) -> bool {
         matches!(self.plot_over, PlotOver::Velocity | PlotOver::Load) && !self.settings.is_empty()
     }
+
+    /// Whether it takes torque of both joints of its pair.
+    pub fn is_of_both_joints(&self) -> bool {
+        matches!(self.in_c, InC::BothRows(_))
+    }
 }
 
 /// Builds a term with a column for every joint of the arm.
@@ -66,7 +71,8 @@ pub struct Rare {
     /// Whether every arm has a little of it, as no friction is quite Coulomb's: where the noise is known it is named only if it matters. A little of
     /// what few arms have is a defect.
     pub slight_in_every_arm: bool,
-    /// Whether it is of joints that the robot file declares as coupled: a search with unknown noise tries no others, one with known noise few, and they are unlikely.
+    /// Whether it is of joints that the robot file declares as coupled: a search tries few others, and they are unlikely. With unknown noise it tries of those
+    /// only the forms that take torque of both joints.
     pub between_coupled: bool,
     /// Whether it may change after an identification; a comparison with a stored model then searches for it.
     pub may_change: bool,
@@ -318,7 +324,9 @@ pub enum PlotOver {
 pub enum InC {
     /// An expression per column, for the torque in the row of its site.
     Columns(Expressions),
-    /// The same for a part of the effect.
+    /// For every column, its expressions in the row of its site and in the row of the joint that causes it.
+    BothRows(fn(&Inputs, &[f64]) -> Vec<[String; 2]>),
+    /// As `Columns`, for a part of the effect.
     Part {
         /// The expressions.
         columns: Expressions,

@@ -16,7 +16,7 @@ mod delay;
 pub mod effect;
 pub mod empirical;
 mod encoder_eccentricity;
-mod encoder_offset;
+pub mod encoder_offset;
 mod family;
 pub mod friction;
 pub mod friction_change;

@@ -56,6 +56,7 @@ pub static FAMILY: Family = Family {
         confounded("lx1 and ly1", "turn joint 1 by more than 90 degrees; identify in a second mounting"),
         confounded("spring", "turn joint 1 as far as it goes"),
         confounded("torque-offset", "turn joint 1 by more than 90 degrees"),
+        confounded("encoder-offset", "about axis 1 it is the zero of joint 1: level the base"),
     ],
     reference: "the paper's equation 3, whose direction of gravity it turns",
     rare: Rare { may_change: true, comes_at_once: true, quantities: angles, ..Rare::NONE },

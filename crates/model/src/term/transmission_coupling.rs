@@ -1,11 +1,17 @@
 //! Joints whose gears or seals are coupled.
 
+use super::all_rows::{AllRows, Clock, Law};
 use super::family::*;
 use super::friction::SHARPNESS;
-use super::one_row::*;
+use super::one_row::{At, OneRow, Settings, column, row_and_cause, smooth_sign, unit};
+use super::{Expected, Sample};
 use crate::chain::JointKind::{Prismatic, Revolute};
+use plumbline_core::JointVec;
 
-/// Friction or inertia of one joint's drive in another joint's torque.
+/// Friction or inertia of one joint's drive in another joint's torque, or friction of a shaft that both turn.
+///
+/// A shaft that turns with `w = dq_j + r dq_k` takes the torque `f(w)` of joint j and `r f(w)` of joint k, by the principle of virtual work:
+/// `f w = f dq_j + r f dq_k`.
 pub static FAMILY: Family = Family {
     id: "transmission-coupling",
     physics: "A differential, a tendon, or a seal between links makes the motion of one joint load the drive of another.",
@@ -21,20 +27,22 @@ pub static FAMILY: Family = Family {
         },
         Form {
             name: "sum",
-            equation: "tau_j = cfs_j_k tanh(100 (dq_j + r dq_k))",
+            equation: "tau_j = f, tau_k = r f, f = cfs_j_k tanh(100 (dq_j + r dq_k)): friction of a shaft",
             settings: &[Setting {
                 name: "r",
                 unit: "1",
-                what: "turns of joint j's side per turn of joint k",
-                low: -2.0,
-                high: 2.0,
+                what: "turns of the shaft per turn of joint k; one per turn of joint j",
+                // Past 1 it is the shaft seen from joint k, with 1 / r; 1 itself is well within.
+                low: -1.25,
+                high: 1.25,
                 // An even number: r = 0 is joint j's own Coulomb friction.
-                steps: 16,
+                steps: 10,
                 scale: Scale::Linear,
             }],
             build: sum,
-            in_c: InC::Columns(|at, settings| {
-                vec![format!("tanh({SHARPNESS:?}*({} + ({:?})*{}))", at.dq, settings[0], at.cause_dq)]
+            in_c: InC::BothRows(|at, settings| {
+                let f = format!("tanh({SHARPNESS:?}*({} + ({:?})*{}))", at.dq, settings[0], at.cause_dq);
+                vec![[f.clone(), format!("({:?})*{f}", settings[0])]]
             }),
             plot_over: PlotOver::Velocity,
         },
@@ -53,7 +61,7 @@ pub static FAMILY: Family = Family {
         confounded("torque-crosstalk", ONE_REVERSES),
         confounded("Lxz and Lyz", "turn one of the two joints through a large angle between the runs"),
     ],
-    reference: "Khalil, Dombre, Modeling, Identification and Control of Robots (2002), chapter 9",
+    reference: "Gautier, Janot, Vandanjon, IEEE Trans. Control Systems Technology 21 (2013); Khalil, Dombre, Modeling, Identification and Control of Robots (2002), chapter 9",
     rare: Rare { between_coupled: true, ..Rare::NONE },
 };
 
@@ -67,8 +75,31 @@ fn friction(operating_point: &OperatingPoint, site: Site, settings: &[f64]) -> A
 
 fn sum(operating_point: &OperatingPoint, site: Site, settings: &[f64]) -> Arc<dyn Term> {
     let columns = vec![column("cfs", site, "", unit(operating_point, joint(site), "Nm", "N"))];
-    let law = |at: &At, settings: &Settings| [smooth_sign(at.own.dq + settings[0] * at.cause.dq), 0.0, 0.0];
-    OneRow::new(&FAMILY, "sum", site, settings, columns, law).term()
+    let ((row, cause), turns) = (row_and_cause(site), settings[0]);
+    AllRows::term(&FAMILY, "sum", site, settings, columns, move |_| Shaft { row, cause, turns })
+}
+
+struct Shaft {
+    row: usize,
+    cause: usize,
+    turns: f64,
+}
+
+impl Law for Shaft {
+    /// Friction brakes.
+    const EXPECTS: Expected = Expected::NotNegative;
+
+    fn at(&mut self, sample: &Sample, _clock: &Clock, columns: &mut [JointVec]) {
+        let dq = |joint: usize| sample.dq.get(joint).copied().unwrap_or_default();
+        let f = smooth_sign(dq(self.row) + self.turns * dq(self.cause));
+        for column in columns {
+            for (joint, share) in [(self.row, 1.0), (self.cause, self.turns)] {
+                if let Some(torque) = column.get_mut(joint) {
+                    *torque = share * f;
+                }
+            }
+        }
+    }
 }
 
 fn inertia(operating_point: &OperatingPoint, site: Site, settings: &[f64]) -> Arc<dyn Term> {

@@ -74,6 +74,9 @@ fn declarations_of_a_family_agree() {
                 InC::Columns(columns) | InC::Part { columns, .. } => {
                     assert_eq!(columns(&inputs, &spec.settings).len(), term.columns().len(), "{spec:?}");
                 }
+                InC::BothRows(columns) => {
+                    assert_eq!(columns(&inputs, &spec.settings).len(), term.columns().len(), "{spec:?}");
+                }
                 InC::Entries => assert!(term.entries().is_some(), "{spec:?}"),
                 InC::LastLink => {
                     assert!(term.columns().iter().all(|column| payload::slot(&column.name).is_some()), "{spec:?}");

@@ -63,7 +63,7 @@ fn laws_are_what_their_equations_say() {
     let one = Site::Joint(j);
     let other = |sample: usize| at(&motion.dq, k, sample);
     let minutes = |sample: usize| (12.0 + 4e-3 * sample as f64) / 60.0;
-    let cases: [(&str, &str, Site, &[f64], Law); 17] = [
+    let cases: [(&str, &str, Site, &[f64], Law); 16] = [
         ("asymmetric-coulomb", "", one, &[], &|_, dq, _| vec![sign(dq).abs()]),
         ("asymmetric-viscous", "", one, &[], &|_, dq, _| vec![dq.abs()]),
         ("stribeck", "gaussian", one, &[0.1], &|_, dq, _| vec![(-dq * dq / 0.01).exp() * sign(dq)]),
@@ -81,7 +81,6 @@ fn laws_are_what_their_equations_say() {
         ("spring", "above", one, &[0.2], &|q, _, _| vec![if q > 0.2 { q - 0.2 } else { 0.0 }]),
         ("spring", "below", one, &[0.2], &|q, _, _| vec![if q < 0.2 { 0.2 - q } else { 0.0 }]),
         ("transmission-coupling", "friction", pair, &[], &|_, _, s| vec![sign(other(s)), other(s)]),
-        ("transmission-coupling", "sum", pair, &[0.5], &|_, dq, s| vec![sign(dq + 0.5 * other(s))]),
         ("friction-drift", "linear", one, &[], &|_, dq, s| vec![minutes(s) * sign(dq), minutes(s) * dq]),
     ];
     for (family, form, site, settings, law) in cases {
@@ -95,6 +94,49 @@ fn laws_are_what_their_equations_say() {
                 assert!((found - expected).abs() < 1e-12, "{spec:?} column {c}: {found} {expected}");
             }
         }
+    }
+}
+
+/// Friction of a shaft that turns with `w = dq_j + r dq_k` brakes both joints: `tau_j dq_j + tau_k dq_k = f w >= 0`, and no other joint.
+#[test]
+fn friction_of_a_shaft_takes_its_power_from_both_joints() {
+    let mut rng = ChaCha8Rng::seed_from_u64(72);
+    let model = rigid_model("panda", &mut rng);
+    let motion = smooth_motion(&mut rng, 7, false, 200);
+    let (j, k, r) = (5, 3, -0.6_f64);
+    let spec = effect("transmission-coupling", "sum", Site::Pair { row: j, cause: k }, &[r]);
+    let torque = column_of(&operating_point(&model), &spec, &motion, 0);
+    for sample in 0..motion.samples() {
+        let w = motion.dq[(sample, j)] + r * motion.dq[(sample, k)];
+        let f = (100.0_f64 * w).tanh();
+        for joint in 0..7 {
+            let expected = if joint == j {
+                f
+            } else if joint == k {
+                r * f
+            } else {
+                0.0
+            };
+            assert!((torque[(sample, joint)] - expected).abs() < 1e-12, "joint {joint} {sample}");
+        }
+        let power: f64 = (0..7).map(|joint| torque[(sample, joint)] * motion.dq[(sample, joint)]).sum();
+        assert!((power - f * w).abs() < 1e-9 && power >= 0.0, "{power} {f} {w}");
+    }
+}
+
+/// The zero of joint 1 turns the arm about its first axis, as a tilt of the base does: in every mounting it is the same torque.
+#[test]
+fn the_zero_of_joint_1_is_a_tilt_about_axis_1() {
+    let mut rng = ChaCha8Rng::seed_from_u64(73);
+    for name in ["panda", "tx40"] {
+        let model = rigid_model(name, &mut rng);
+        let motion = smooth_motion(&mut rng, model.structure().chain().len(), false, 200);
+        let operating_point = operating_point(&model);
+        let zero = columns(&operating_point, &effect("encoder-offset", "", Site::Joint(0), &[]), &motion);
+        let tilts = columns(&operating_point, &effect("mounting", "", Site::Arm, &[]), &motion);
+        let turn = tilts.clone().svd(true, true).solve(&zero, 1e-12).unwrap();
+        let rest = (&zero - &tilts * turn).norm() / zero.norm();
+        assert!(rest < 1e-9 && zero.norm() > 1.0, "{name}: {rest} of {}", zero.norm());
     }
 }
 

@@ -3,7 +3,8 @@
 use super::synthetic::{At, FLOOR, ROWS, Recorded, once, recorded, scaled, with_effect, with_effect_in_noise};
 use plumbline_diagnose::{Candidate, FoldTest, Relevance, Scored, Search, Selected, Settings, Span, State};
 use plumbline_model::term::effect::{FAMILIES, Family, OperatingPoint, Site, Spec, family};
-use plumbline_model::term::{joint_elasticity, position_ripple, spring, torque_offset};
+use plumbline_model::term::{encoder_offset, joint_elasticity, position_ripple, spring, torque_offset};
+use std::collections::BTreeSet;
 use std::f64::consts::TAU;
 
 pub const OFFSET: [&Family; 1] = [&torque_offset::FAMILY];
@@ -185,19 +186,44 @@ fn tight_from(share: f64) -> Recorded {
 }
 
 #[test]
-fn without_repeats_coupled_gears_are_searched_only_where_the_robot_file_has_them() {
+fn without_repeats_undeclared_coupled_gears_are_searched_only_by_what_acts_on_both_joints() {
     let coupling: [&'static Family; 1] = [family("transmission-coupling").unwrap()];
     let settings = Settings::default();
-    let sites = |recorded: &Recorded| recorded.search(&coupling, &settings, |search, _| search.library.len());
-    assert!(sites(&recorded(4, 1, constant(0.0))) > 0);
+    let forms_of = |library: &[Candidate]| library.iter().map(|one| one.spec.form).collect::<BTreeSet<_>>();
+    let forms = |recorded: &Recorded| recorded.search(&coupling, &settings, |search, _| forms_of(&search.library));
+    let (all, shaft) = (BTreeSet::from(["friction", "inertia", "sum"]), BTreeSet::from(["sum"]));
+    assert_eq!(forms(&recorded(4, 1, constant(0.0))), all);
     let free = once(20.0, 1, constant(0.0));
-    assert_eq!(sites(&free), 0);
+    assert_eq!(forms(&free), shaft);
     free.search(&coupling, &settings, |search, base| {
         let free = search.operating_point.clone();
         let coupled = OperatingPoint { chain: free.chain.clone().with_coupled(vec![[1, 0]]), ..free };
         let evidence = search.problem.evidence;
-        assert!(!plumbline_diagnose::library(evidence, &coupled, &coupling, Span::ALL, 1).is_empty(), "{}", base.base);
+        let library = plumbline_diagnose::library(evidence, &coupled, &coupling, Span::ALL, 1);
+        assert_eq!(forms_of(&library), all, "{}", base.base);
     });
+}
+
+/// A shaft that turns with both joints, seen from either of the two.
+#[test]
+fn a_shaft_of_two_joints_is_found_without_repeats_and_undeclared() {
+    let shaft = |at: &At| {
+        let f = 0.4 * (100.0 * (at.dq[1] - 0.6 * at.dq[0])).tanh();
+        [-0.6 * f, f]
+    };
+    let one_sided = |at: &At| [0.0, 0.4 * (100.0 * (at.dq[1] - 0.6 * at.dq[0])).tanh()];
+    let families: Vec<&'static Family> =
+        ["transmission-coupling", "torque-crosstalk", "stribeck", "presliding"].map(|id| family(id).unwrap()).to_vec();
+    let found = |recorded: &Recorded| select(recorded, &families, &Settings::default()).state.items;
+    let of_both = found(&once(40.0, 10, shaft));
+    let specs = of_both.iter().map(|item| item.spec.clone()).collect::<Vec<_>>();
+    let [coupling] = &specs[..] else { panic!("{specs:?}") };
+    assert_eq!((coupling.family, coupling.form), ("transmission-coupling", "sum"));
+    assert_eq!(coupling.site, Site::Pair { row: 1, cause: 0 });
+    assert!((coupling.settings[0] + 0.6).abs() < 0.02, "{coupling:?}");
+    // Where joint 1 takes no share of the torque it is no shaft.
+    let of_one = found(&once(40.0, 10, one_sided));
+    assert!(of_one.iter().all(|item| item.spec.family != "transmission-coupling"), "{of_one:?}");
 }
 
 #[test]
@@ -222,10 +248,19 @@ fn a_rotor_is_searched_where_the_rigid_body_has_absorbed_one() {
             let library =
                 plumbline_diagnose::library(search.problem.evidence, &operating_point, &elastic, Span::ALL, 1);
             let tried = library.iter().filter(|item| item.spec.form == "swinging-rotor");
-            tried.map(|item| item.spec.site).collect::<std::collections::BTreeSet<_>>()
+            tried.map(|item| item.spec.site).collect::<BTreeSet<_>>()
         };
         assert!(with(vec![false; 2]).is_empty());
         assert_eq!(with(vec![false, true]).into_iter().collect::<Vec<_>>(), [Site::Joint(1)]);
+    });
+}
+
+#[test]
+fn the_zero_of_joint_1_is_left_to_the_tilt_of_the_base() {
+    let zero: [&'static Family; 1] = [&encoder_offset::FAMILY];
+    recorded(4, 1, constant(0.0)).search(&zero, &Settings::default(), |search, _| {
+        let sites: BTreeSet<Site> = search.library.iter().map(|item| item.spec.site).collect();
+        assert_eq!(sites, BTreeSet::from([Site::Joint(1)]));
     });
 }
 

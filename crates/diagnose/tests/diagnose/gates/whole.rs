@@ -6,6 +6,7 @@ use plumbline_diagnose::errors::Of;
 use plumbline_diagnose::outcome::{Diagnosis, OpenKind, Verdict};
 use plumbline_diagnose::{Input, Settings, diagnose};
 use plumbline_identify::solve;
+use std::f64::consts::TAU;
 
 /// Diagnoses `identify` by itself, with runs that decide and were recorded after it.
 fn judged(identify: &Recorded, veto: &Recorded, judged_by: Of) -> Outcome {
@@ -111,6 +112,20 @@ fn a_run_that_differs_is_never_nothing_significant() {
     let [one] = &other.disagreements[..] else { panic!("{:?}", other.disagreements) };
     assert_eq!((other.verdict, other.unexplained.len()), (Verdict::Unexplained, 0));
     assert!(one.run == "trajectory 2" && one.joint == 2 && (one.rms - 1.0).abs() < 0.1, "{one:?}");
+}
+
+/// What the identified runs lack, too small to be named, is expected in unseen ones: up to it they agree, at more than two of the reported noise floors.
+#[test]
+fn nothing_is_significant_beside_no_error_above_two_noise_floors() {
+    let lacking = |size: f64| move |at: &At| [0.0, 0.7 * FLOOR * (6.0 * TAU * at.t / PERIOD).sin() + size * FLOOR];
+    let identify = recorded(4, 105, lacking(0.0));
+    let of = |size: f64| judged(&identify, &recorded(2, 106, lacking(size)), Of::Filtered).diagnosis;
+    let floors = |of: &Diagnosis| of.before.validate_rms[1] / of.noise_floor[1];
+    let (below, above) = (of(0.4), of(0.8));
+    assert!(floors(&below) < 2.0 && below.verdict == Verdict::NothingSignificant, "{}", floors(&below));
+    assert!(floors(&above) > 2.0 && above.disagreements.is_empty(), "{}", floors(&above));
+    assert_eq!(above.verdict, Verdict::NotDetermined);
+    assert!(above.undetermined.iter().all(|one| one.joint == 2 && one.rms > 2.0 * one.expected));
 }
 
 #[test]
