@@ -261,3 +261,30 @@ impl Fitted {
         Some(found)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_line_that_no_other_run_has_explains_nearly_all_of_its_frequency() {
+        let line = |run: &str, frequency: f64, explained: f64| BaseMotion {
+            run: run.into(),
+            frequency,
+            explained,
+            amplitude: 0.05,
+            std: 0.005,
+            direction: Vector3::x(),
+            cosine: Vector3::x(),
+            sine: Vector3::zeros(),
+            ratio: 20.0,
+            rms: Vec::new(),
+        };
+        let (weak, other, clear) = (line("a", 0.62, 0.74), line("b", 0.63, 0.6), line("b", 5.0, 0.95));
+        let kept = |lines: &[&BaseMotion], runs: usize| plausible(lines.iter().map(|&one| one.clone()).collect(), runs);
+        assert_eq!(kept(&[&weak, &clear], 3), vec![clear.clone()]);
+        assert_eq!(kept(&[&weak, &other], 3), vec![weak.clone(), other]);
+        assert_eq!(kept(&[&weak, &line("a", 0.61, 0.8)], 3), Vec::new(), "twice in one run");
+        assert_eq!(kept(&[&weak], 1), vec![weak.clone()], "no other run could have it");
+    }
+}

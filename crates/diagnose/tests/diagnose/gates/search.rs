@@ -190,7 +190,7 @@ fn without_repeats_undeclared_coupled_gears_are_searched_only_by_what_acts_on_bo
     let coupling: [&'static Family; 1] = [family("transmission-coupling").unwrap()];
     let settings = Settings::default();
     let forms_of = |library: &[Candidate]| library.iter().map(|one| one.spec.form).collect::<BTreeSet<_>>();
-    let forms = |recorded: &Recorded| recorded.search(&coupling, &settings, |search, _| forms_of(&search.library));
+    let forms = |recorded: &Recorded| recorded.search(&coupling, &settings, |search, _| forms_of(search.library));
     let (all, shaft) = (BTreeSet::from(["friction", "inertia", "sum"]), BTreeSet::from(["sum"]));
     assert_eq!(forms(&recorded(4, 1, constant(0.0))), all);
     let free = once(20.0, 1, constant(0.0));
