@@ -73,10 +73,12 @@ fn exchanged<'a>(question: &Question<'a>, block: &Diagnosis) -> Option<(Vec<&'a 
     let repeats = |run: &Run| run.data.periods() >= MIN_PERIODS;
     let comparable =
         |run: &Run| run.data.mounting.angle_to(&first.data.mounting) < SAME_MOUNTING && repeats(run) == repeats(first);
-    // What only the errors of the parameters explain is not excited by the identified runs.
-    let of_found = block.undetermined.iter().filter(|_| block.effects.iter().any(|effect| effect.in_model));
-    let differing: Vec<&Disagreement> = block.disagreements.iter().chain(of_found).collect();
-    let differs = |run: &Run| differing.iter().any(|one| one.run == run.data.name);
+    let with_effects = block.effects.iter().any(|effect| effect.in_model);
+    let differs = |run: &Run| {
+        let among = |runs: &[Disagreement]| runs.iter().any(|one| one.run == run.data.name);
+        // What only the errors of the parameters explain is not excited by the identified runs.
+        among(&block.disagreements) || with_effects && among(&block.undetermined)
+    };
     let (deciding, measuring) = question.unseen.split_at(diagnosis::deciding(question.unseen.len()));
     let (moved, mut unseen): (Vec<&Run>, Vec<&Run>) = deciding.iter().partition(|run| differs(run) && comparable(run));
     if moved.is_empty() {

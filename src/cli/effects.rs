@@ -69,7 +69,7 @@ fn equation_label(form: &Form) -> String {
 
 fn in_c(of: InC) -> String {
     match of {
-        InC::Columns(_) | InC::BothRows(_) | InC::Entries => "yes".into(),
+        InC::Columns(_) | InC::BothRows { .. } | InC::Entries => "yes".into(),
         InC::LastLink => "yes, as part of the last link".into(),
         InC::Part { note, .. } => note.into(),
         InC::Refused(reason) => format!("no: {reason}"),

@@ -19,7 +19,7 @@ pub(super) fn notes_of_bodies(model: &TorqueModel) -> Vec<String> {
 /// Notes on effects of a model that the C function lacks, or has a part of.
 pub(super) fn notes_of_c(model: &TorqueModel) -> Vec<String> {
     let mut notes = notes(model, |family, spec| match family.form(spec.form).map(|form| form.in_c) {
-        Some(InC::Columns(_) | InC::BothRows(_) | InC::Entries | InC::LastLink) => None,
+        Some(InC::Columns(_) | InC::BothRows { .. } | InC::Entries | InC::LastLink) => None,
         Some(InC::Part { note, .. }) => Some(note.to_string()),
         Some(InC::Refused(reason)) => Some(format!("is left out, because {reason}: {}", family.physics)),
         None => Some(format!("has no form `{}` and is left out", spec.form)),
@@ -85,7 +85,11 @@ pub(super) fn column(
     load: &[Value],
     operating_point: &OperatingPoint,
 ) -> Vec<(usize, Value)> {
-    let Some(form) = spec.form() else { return Vec::new() };
+    let (columns, share) = match spec.form().map(|form| form.in_c) {
+        Some(InC::Columns(columns) | InC::Part { columns, .. }) => (columns, None),
+        Some(InC::BothRows { columns, share }) => (columns, Some(share(&spec.settings))),
+        Some(InC::Entries | InC::LastLink | InC::Refused(_)) | None => return Vec::new(),
+    };
     let [row, cause, other] = joints(spec.site);
     let [fv, fc] = operating_point.friction.get(cause).copied().unwrap_or_default();
     let ia = operating_point.rotor_inertias.get(cause).copied().unwrap_or_default();
@@ -106,20 +110,11 @@ pub(super) fn column(
             expression(&sign(program, cause))
         ),
     };
-    let texts = match form.in_c {
-        InC::Columns(columns) | InC::Part { columns, .. } => {
-            columns(&inputs, &spec.settings).into_iter().nth(c).map(|text| vec![(row, text)])
-        }
-        InC::BothRows(columns) => {
-            columns(&inputs, &spec.settings).into_iter().nth(c).map(|[own, other]| vec![(row, own), (cause, other)])
-        }
-        InC::Entries | InC::LastLink | InC::Refused(_) => None,
-    };
-    let mut value = |(row, text)| {
-        let name = program.fresh("e");
-        (row, program.named(name, text))
-    };
-    texts.into_iter().flatten().map(&mut value).collect()
+    let Some(text) = columns(&inputs, &spec.settings).into_iter().nth(c) else { return Vec::new() };
+    let name = program.fresh("e");
+    let value = program.named(name, text);
+    let of_cause = share.map(|share| (cause, program.sum(&[(Value::Known(share), value.clone())])));
+    [(row, value)].into_iter().chain(of_cause).collect()
 }
 
 /// Column of a term of the whole arm as a value of the program, and its row; `None` for a link's, which the recursion computes.

@@ -94,7 +94,7 @@ impl BaseMotion {
 }
 
 /// Lines of several runs, and of one run alone those that explain nearly all of what the joints do there; of a single run all.
-pub(super) fn plausible(lines: Vec<BaseMotion>, runs: usize) -> Vec<BaseMotion> {
+pub(super) fn plausible(lines: &[BaseMotion], runs: usize) -> Vec<BaseMotion> {
     let has = |one: &BaseMotion, other: &BaseMotion| other.run != one.run && other.is_same_line(one);
     let plausible = |one: &&BaseMotion| {
         runs < 2 || one.explained > MIN_EXPLAINED_RATIO_ALONE || lines.iter().any(|other| has(one, other))
@@ -281,7 +281,9 @@ mod tests {
             rms: Vec::new(),
         };
         let (weak, other, clear) = (line("a", 0.62, 0.74), line("b", 0.63, 0.6), line("b", 5.0, 0.95));
-        let kept = |lines: &[&BaseMotion], runs: usize| plausible(lines.iter().map(|&one| one.clone()).collect(), runs);
+        let kept = |lines: &[&BaseMotion], runs: usize| {
+            plausible(&lines.iter().map(|&one| one.clone()).collect::<Vec<_>>(), runs)
+        };
         assert_eq!(kept(&[&weak, &clear], 3), vec![clear.clone()]);
         assert_eq!(kept(&[&weak, &other], 3), vec![weak.clone(), other]);
         assert_eq!(kept(&[&weak, &line("a", 0.61, 0.8)], 3), Vec::new(), "twice in one run");

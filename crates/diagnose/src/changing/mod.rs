@@ -203,7 +203,7 @@ pub fn changing(
         found.leave_out.extend(left_out(record, &masked));
         masks.push(masked);
     }
-    found.base_motions = base_motion::plausible(found.base_motions, records.len());
+    found.base_motions = base_motion::plausible(&found.base_motions, records.len());
     let mut of_run = 0;
     let mut looks = Vec::new();
     for trial in trials {
@@ -352,7 +352,7 @@ pub fn add_once(
         found.contacts.extend(contacts);
     }
     found.once.extend(once.iter().map(|experiment| experiment.name.clone()));
-    found.base_motions = base_motion::plausible(std::mem::take(&mut found.base_motions), trials.len());
+    found.base_motions = base_motion::plausible(&found.base_motions, trials.len());
 }
 
 /// Takes the base motions of the identified runs off unseen runs that have them, too: they are no difference between the runs. `predict` gives the torques

@@ -55,7 +55,7 @@ impl Form {
 
     /// Whether it takes torque of both joints of its pair.
     pub fn is_of_both_joints(&self) -> bool {
-        matches!(self.in_c, InC::BothRows(_))
+        matches!(self.in_c, InC::BothRows { .. })
     }
 }
 
@@ -324,8 +324,13 @@ pub enum PlotOver {
 pub enum InC {
     /// An expression per column, for the torque in the row of its site.
     Columns(Expressions),
-    /// For every column, its expressions in the row of its site and in the row of the joint that causes it.
-    BothRows(fn(&Inputs, &[f64]) -> Vec<[String; 2]>),
+    /// As `Columns`, and a share of each column for the torque in the row of the joint that causes it.
+    BothRows {
+        /// The expressions.
+        columns: Expressions,
+        /// The share, by the settings.
+        share: fn(&[f64]) -> f64,
+    },
     /// As `Columns`, for a part of the effect.
     Part {
         /// The expressions.

@@ -40,10 +40,12 @@ pub static FAMILY: Family = Family {
                 scale: Scale::Linear,
             }],
             build: sum,
-            in_c: InC::BothRows(|at, settings| {
-                let f = format!("tanh({SHARPNESS:?}*({} + ({:?})*{}))", at.dq, settings[0], at.cause_dq);
-                vec![[f.clone(), format!("({:?})*{f}", settings[0])]]
-            }),
+            in_c: InC::BothRows {
+                columns: |at, settings| {
+                    vec![format!("tanh({SHARPNESS:?}*({} + ({:?})*{}))", at.dq, settings[0], at.cause_dq)]
+                },
+                share: |settings| settings[0],
+            },
             plot_over: PlotOver::Velocity,
         },
         Form {

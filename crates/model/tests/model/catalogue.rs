@@ -71,10 +71,7 @@ fn declarations_of_a_family_agree() {
             assert_eq!(term.spec().is_none(), family.rare.whole_arm.is_some(), "{spec:?}");
             assert_eq!(matches!(form.in_c, InC::LastLink), last_link, "{spec:?}");
             match form.in_c {
-                InC::Columns(columns) | InC::Part { columns, .. } => {
-                    assert_eq!(columns(&inputs, &spec.settings).len(), term.columns().len(), "{spec:?}");
-                }
-                InC::BothRows(columns) => {
+                InC::Columns(columns) | InC::BothRows { columns, .. } | InC::Part { columns, .. } => {
                     assert_eq!(columns(&inputs, &spec.settings).len(), term.columns().len(), "{spec:?}");
                 }
                 InC::Entries => assert!(term.entries().is_some(), "{spec:?}"),
