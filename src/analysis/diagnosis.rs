@@ -5,10 +5,11 @@ use crate::analysis::pipeline::{self, Identified};
 use crate::dataset::Run;
 use crate::failure::Failure;
 use crate::process::progress::{self, Bar};
+use nalgebra::DMatrix;
 use plumbline_diagnose::changing::{Changing, add_once, changing, cleaned, until_the_end, without_base_motions};
 use plumbline_diagnose::errors::Of;
 use plumbline_diagnose::figures::Curves;
-use plumbline_diagnose::outcome::{Changes, Disagreement};
+use plumbline_diagnose::outcome::{Acts, Changes, Disagreement};
 use plumbline_diagnose::reference;
 use plumbline_diagnose::{Diagnosis, Effect, Input, OpenQuestions, Progress, Trial, Verdict, diagnose};
 use plumbline_identify::solve::{self, ols, stack::Stack};
@@ -40,6 +41,8 @@ pub struct Diagnosed {
     pub open: OpenQuestions,
     /// Unseen runs that differ for no cause that was found.
     pub unnamed: usize,
+    /// Torque of what acts in a part of the recording in each run that was identified from, N x n \[Nm\]; empty where nothing does.
+    acting: Vec<DMatrix<f64>>,
 }
 
 /// Unseen runs that decide which findings are delivered; the others measure. A single one does both.
@@ -58,11 +61,12 @@ pub fn run(question: &Question) -> Result<Diagnosed, Failure> {
     let found = diagnosed(question, first, &bar)?;
     // Without repeats the noise is not known, and there is none to prepare again.
     let left = if repeats { found.block.unexplained.len() } else { 0 };
-    if contacts + left == 0 || !found.block.effects.iter().any(|effect| effect.in_model) {
+    let has_more = !found.acting.is_empty() || found.block.effects.iter().any(|effect| effect.in_model);
+    if contacts + left == 0 || !has_more {
         return Ok(found);
     }
     // What a contact was found by may be an effect that the plain model lacks. And the noise of the positions makes more of a model that has it.
-    let again = prepared(question, Some(&found.after.model))?;
+    let again = prepared(question, Some(&found))?;
     match contacts.checked_sub(again.variation.contacts.len()) {
         Some(1..) => diagnosed(question, again, &bar),
         Some(0) if left > 0 => {
@@ -101,10 +105,12 @@ fn diagnosed(question: &Question, prepared: Prepared, bar: &Bar) -> Result<Diagn
     block.band = question.of.band(question.settings.torque_cutoff);
     block.notes.extend(notes);
     variation.add_to(&mut block, question.diagnosis.least_floor, question.diagnosis.threshold);
+    let acting = outcome.identified.iter().zip(&identify).map(|(without, with)| &with.experiment.tau - &without.tau);
+    let acting = acting.collect();
     // What acts in them, too, is known.
     let unseen = if outcome.unseen.is_empty() { unseen } else { trials(&outcome.unseen, question.unseen) };
     let unnamed = question.name_disagreements(&after, &identify, &unseen, &mut block);
-    Ok(Diagnosed { after, block, figures: outcome.curves, open: outcome.open, unnamed })
+    Ok(Diagnosed { after, block, figures: outcome.curves, open: outcome.open, unnamed, acting })
 }
 
 /// Shows a search on a bar: each comparison of candidates from 0 to 1, with its number, because nobody knows how many comparisons a search takes.
@@ -231,8 +237,8 @@ struct Prepared {
     starts: Vec<ExcludedSpan>,
 }
 
-/// What happens once is sought in what the plain model leaves, or a model that is `known` already.
-fn prepared(question: &Question, known: Option<&TorqueModel>) -> Result<Prepared, Failure> {
+/// What happens once is sought in what the plain model leaves, or what was `found` already.
+fn prepared(question: &Question, known: Option<&Diagnosed>) -> Result<Prepared, Failure> {
     let settings = Settings { keep_periods: true, without_ends: true, ..question.settings.clone() };
     let mut experiments = pipeline::for_estimator(question.identify, &settings, question.options)?;
     let starts = starts(&experiments, question.unseen);
@@ -242,7 +248,7 @@ fn prepared(question: &Question, known: Option<&TorqueModel>) -> Result<Prepared
     let mut found = Changing::default();
     let plain = identified(question.structure, &experiments)?;
     let mut operating_point = question.structure.operating_point(&plain.beta());
-    let mut model = Cow::Borrowed(known.unwrap_or(&plain));
+    let mut model = Cow::Borrowed(known.map_or(&plain, |known| &known.after.model));
     if experiments.iter().chain(&unseen).any(repeat) {
         experiments.iter_mut().chain(&mut unseen).for_each(|one| one.follow_own_motion(|motion| model.predict(motion)));
         let changed = |operating_point: &OperatingPoint, model: &TorqueModel, experiments: &[Experiment]| {
@@ -267,7 +273,10 @@ fn prepared(question: &Question, known: Option<&TorqueModel>) -> Result<Prepared
         }
     }
     let predict = |motion: &Motion| model.predict(motion);
-    add_once(&mut found, &trials(&experiments, question.identify), &operating_point, predict);
+    let without = without_acting(&experiments, known.map_or(&[], |known| &known.acting));
+    let effects = known.iter().flat_map(|known| &known.block.effects);
+    let came: Vec<&Acts> = effects.filter_map(|effect| effect.acts.as_ref()).collect();
+    add_once(&mut found, &trials(&without, question.identify), &operating_point, &came, predict);
     cleaned(&mut experiments, &found, &operating_point);
     without_base_motions(&mut unseen, &found, &operating_point, predict);
     let drifts = until_the_end(&found, &operating_point, &trials(&experiments, question.identify));
@@ -277,6 +286,15 @@ fn prepared(question: &Question, known: Option<&TorqueModel>) -> Result<Prepared
         experiments.iter_mut().chain(&mut unseen).for_each(|experiment| experiment.repeats = None);
     }
     Ok(Prepared { identify: experiments, variation: found, unseen, starts })
+}
+
+/// Runs of which those that do not repeat are without what acts in a part of the recording. In the others its deviations tell.
+fn without_acting(experiments: &[Experiment], acting: &[DMatrix<f64>]) -> Vec<Experiment> {
+    let mut without = experiments.to_vec();
+    for (experiment, torque) in without.iter_mut().zip(acting).filter(|(experiment, _)| experiment.repeats.is_none()) {
+        experiment.tau -= torque;
+    }
+    without
 }
 
 /// Starts of unseen runs that do not repeat, for as long as the motion of no identified one repeated: no controller follows there, and nothing is known of what a
@@ -313,6 +331,20 @@ mod tests {
         let tau = DMatrix::from_fn(t.len(), joints, |k, j| q[(k, j)] + tick(k + 3 * j));
         let data = plumbline_identify::Run { name: name.into(), t, q, dq: None, tau, mounting: Mounting::WALL, period };
         Run::new(data, if period.is_some() { Role::Identify } else { Role::Validate })
+    }
+
+    #[test]
+    fn what_is_known_to_act_is_taken_off_runs_that_do_not_repeat() {
+        let runs = [sines("repeats", 2, 0.0, Some(2.0)), sines("once", 2, 0.0, None)];
+        let settings = Settings { keep_periods: true, ..Settings::default() };
+        let experiments = pipeline::experiments(&runs.iter().collect::<Vec<_>>(), &settings).unwrap();
+        let acting: Vec<_> = experiments.iter().map(|one| DMatrix::from_element(one.tau.nrows(), 2, 0.3)).collect();
+        let off = |acting: &[_]| {
+            let without = without_acting(&experiments, acting);
+            let taken = experiments.iter().zip(&without).map(|(with, without)| (&with.tau - &without.tau).mean());
+            taken.map(|taken| (10.0 * taken).round() / 10.0).collect::<Vec<_>>()
+        };
+        assert_eq!([off(&acting), off(&[])], [[0.0, 0.3], [0.0, 0.0]]);
     }
 
     #[test]

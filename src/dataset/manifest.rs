@@ -3,6 +3,7 @@
 use super::layout::Torque;
 use super::{Dataset, Format, Run, file};
 use plumbline_core::{BadInput, from_toml, parallel, threads};
+use plumbline_identify::signal::polled::{Sent, sent};
 use plumbline_model::Mounting;
 use serde::{Deserialize, Serialize};
 use std::fs;
@@ -161,9 +162,21 @@ fn read_run(dir: &Path, file: &str, index: usize, entry: &RunEntry, shared: Moun
     if entry.session == 0 {
         return Err(BadInput::new(file, key("session"), entry.session, "a number from 1"));
     }
+    // A period is one of the stamps.
+    let t = match sent(&columns.t, &columns.q, &columns.tau).filter(|_| entry.period.is_none()) {
+        None => columns.t,
+        Some(Sent { t, step, repeats }) => {
+            let ms = 1e3 * step;
+            tracing::info!(
+                "run {}: {repeats} rows repeat the one before, for the arm sent one every {ms:.3} ms and was read more often; its times are even",
+                entry.file
+            );
+            t
+        }
+    };
     let data = plumbline_identify::Run {
         name: entry.file.clone(),
-        t: columns.t,
+        t,
         q: columns.q,
         dq: columns.dq,
         tau: columns.tau,

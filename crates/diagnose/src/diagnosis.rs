@@ -52,14 +52,12 @@ pub struct Outcome {
     pub curves: Curves,
     /// What the recorded runs leave open.
     pub open: OpenQuestions,
-    /// The unseen runs without what acts in a part of the recording; empty where nothing does.
+    /// The runs that were identified from without what acts in a part of the recording; empty where nothing does.
+    pub identified: Vec<Experiment>,
+    /// The unseen ones, alike.
     pub unseen: Vec<Experiment>,
 }
 
-/// Smallest R2 of a residual on its variables for it to count as unexplained, where the noise is unknown.
-const MIN_DEPENDENCE_R2: f64 = 0.25;
-/// Smallest lack of fit for a residual that depends on no variable to count as unexplained.
-const MIN_FLAT_LACK_OF_FIT_RATIO: f64 = 2.0;
 /// Largest number of relinearisations.
 const MAX_RELINEARISATIONS: usize = 8;
 /// Smallest gain, twice the log likelihood, for another relinearisation.
@@ -153,7 +151,7 @@ pub fn diagnose(input: &Input, settings: &Settings, progress: &Watch) -> Result<
     let joints: Vec<JointFacts> = (0..evidence.joints()).map(facts).collect();
     let screened = screened(&evidence, left, settings, &joints);
     let by_chance = |one: &Residual| !evidence.repeats() && fallback::may_be_chance(&evidence, left, one, settings);
-    let unexplained = screened.iter().filter(|one| counts(one, &joints) && !by_chance(one));
+    let unexplained = screened.iter().filter(|one| one.counts(joints[one.joint].lack_of_fit.after) && !by_chance(one));
     let residuals: Vec<Residual> = unexplained.cloned().collect();
     let mut curves = curves::of(&search, &base, left, &residuals);
     // With unknown noise a joint may be too quiet to be called unexplained and still follow a variable.
@@ -212,7 +210,8 @@ pub fn diagnose(input: &Input, settings: &Settings, progress: &Watch) -> Result<
         true => Vec::new(),
         false => others.iter().map(|trial| trial.experiment.clone()).collect(),
     };
-    Ok(Outcome { diagnosis, before, after: model, residuals, curves, open, unseen })
+    let identified = without.unwrap_or_default();
+    Ok(Outcome { diagnosis, before, after: model, residuals, curves, open, identified, unseen })
 }
 
 /// The fit of the delivered model, whose residual is what is left: `state` with those effects that are `kept`, `base` without any.
@@ -436,16 +435,6 @@ fn screened(evidence: &Evidence, state: &State, settings: &Settings, joints: &[J
         found.push(fallback::unexplained(evidence, state, joint, settings));
     }
     found
-}
-
-/// Whether a residual counts as unexplained. Where the noise is not known, it has to follow some variables.
-fn counts(residual: &Residual, joints: &[JointFacts]) -> bool {
-    match joints[residual.joint].lack_of_fit.after {
-        // Position noise enters the mean through the model and is not in the scatter of the torques: a flat residual of this size is
-        // noise.
-        Some(after) => !residual.flat() || after > MIN_FLAT_LACK_OF_FIT_RATIO,
-        None => residual.r2() > MIN_DEPENDENCE_R2,
-    }
 }
 
 fn verdict(effects: &[Effect], complete: bool, determined: bool) -> Verdict {

@@ -207,8 +207,8 @@ impl Search<'_> {
         }
     }
 
-    /// A candidate that begins where the likelihood is largest, near the begin of a block of a motion that does not repeat; one that comes by and by, with
-    /// the time constant nearby at which it is.
+    /// A candidate that begins where the likelihood is largest, near the begin of a block of a motion that does not repeat, or between the begins that the
+    /// deviations of the periods leave open; one that comes by and by, with the time constant nearby at which it is.
     pub(super) fn begun(&self, state: &State, item: Candidate) -> Candidate {
         let evidence = self.evidence();
         let (span, spec) = (item.span, item.spec.clone());
@@ -222,7 +222,8 @@ impl Search<'_> {
         let (mut reach, resolution) = if span.is_slow() {
             (std::f64::consts::LN_2, RISE_RESOLUTION)
         } else {
-            let Some(length) = evidence.length_of_block_at(span.from) else { return item };
+            let length = evidence.length_of_block_at(span.from).or_else(|| self.open_around(&item));
+            let Some(length) = length else { return item };
             (length, BEGIN_RESOLUTION_S)
         };
         let gain = |item: &Candidate| {
@@ -243,6 +244,13 @@ impl Search<'_> {
             }
         }
         best.1
+    }
+
+    /// How far the next begin is at which the deviations of the periods say that a candidate may have come as well \[s\].
+    fn open_around(&self, item: &Candidate) -> Option<f64> {
+        let same = self.came.iter().filter(|(spec, span)| *spec == item.spec && span.begins_near(item.span));
+        let apart = same.map(|(_, span)| (span.from - item.span.from).abs()).filter(|apart| *apart > 0.0);
+        apart.min_by(f64::total_cmp)
     }
 
     /// The same effect with its columns at this operating point.

@@ -10,6 +10,8 @@ use std::sync::Arc;
 
 /// Largest share of a column's squares that rounding leaves of what other columns contain.
 const MAX_ROUNDING_RATIO: f64 = 1e-9;
+/// Largest ratio of a column that is nothing but rounding to the largest one.
+const MAX_ROUNDED_COLUMN_RATIO: f64 = 1e-9;
 
 /// Coefficients of columns; joints that are not listed have none.
 #[derive(Clone, Debug, PartialEq)]
@@ -25,8 +27,16 @@ pub struct Rows {
 }
 
 impl Rows {
-    /// Of joints with coefficients, divided by their noise.
-    pub fn new(width: usize, parts: Vec<(usize, DMatrix<f64>)>) -> Rows {
+    /// Of joints with coefficients, divided by their noise. What the arm does not excite is zero: rounding leaves something of it, and a parameter of
+    /// any size would fit that.
+    pub fn new(width: usize, mut parts: Vec<(usize, DMatrix<f64>)>) -> Rows {
+        let square = |column| parts.iter().map(|(_, part)| part.column(column).norm_squared()).sum::<f64>();
+        let squares: Vec<f64> = (0..width).map(square).collect();
+        let least = MAX_ROUNDED_COLUMN_RATIO.powi(2) * squares.iter().copied().fold(0.0, f64::max);
+        for column in (0..width).filter(|&column| squares[column] < least) {
+            parts.iter_mut().for_each(|(_, part)| part.column_mut(column).fill(0.0));
+        }
+        parts.retain(|(_, part)| part.iter().any(|value| *value != 0.0));
         let shared = |(joint, part)| (joint, Arc::new(part));
         Rows { width, exact: false, parts: parts.into_iter().map(shared).collect(), within: None }
     }
@@ -124,5 +134,19 @@ mod tests {
         let [elsewhere, in_two] = [rows(&[(1, &[one])]), rows(&[(2, &[one]), (3, &[q])])];
         assert!(!spring.contains(&elsewhere) && !spring.contains(&in_two) && !in_two.contains(&offset));
         assert!(in_two.contains(&in_two));
+    }
+
+    #[test]
+    fn a_column_of_rounding_alone_is_zero() {
+        let (q, rounding) = ([0.9, 1.0, 1.1, 1.3], [1e-13, -2e-13, 0.0, 1e-13]);
+        let body = rows(&[(0, &[rounding, q]), (1, &[rounding, q.map(|q| 1e-3 * q)]), (2, &[rounding, [0.0; 4]])]);
+        assert_eq!((body.width, body.joints().collect::<Vec<_>>()), (2, vec![0, 1]));
+        for joint in body.joints() {
+            let own = body.of(joint).unwrap();
+            assert!(own.column(0).iter().all(|value| *value == 0.0) && own.column(1).norm() > 0.0);
+        }
+        // Small is not nothing.
+        let small = rows(&[(0, &[q, q.map(|q| 1e-8 * q)])]);
+        assert!(small.of(0).unwrap().column(1).norm() > 0.0);
     }
 }

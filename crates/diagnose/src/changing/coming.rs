@@ -77,14 +77,17 @@ impl Coming {
         step.run == record.experiment.name && step.spec.is_same_effect(&self.spec)
     }
 
-    /// Row of the run at which a step explains most of `rest`, the centred deviations of each joint in this run weighed by `weights`.
-    pub fn best_row(&self, record: &Record, rest: &[Vec<f64>], weights: &[f64]) -> Option<usize> {
+    /// Rows of the run at which it is sought; `None` where there are none.
+    pub fn begins(&self, record: &Record) -> Option<Range<usize>> {
         let margin = (MARGIN_S / record.dt).ceil() as usize;
         let first = record.masked.iter().position(|masked| !masked)? + margin;
         let last = record.masked.iter().rposition(|masked| !masked)?.saturating_sub(margin);
-        if first >= last {
-            return None;
-        }
+        (first < last).then_some(first..last)
+    }
+
+    /// Row of the run at which a step explains most of `rest`, the centred deviations of each joint in this run weighed by `weights`.
+    pub fn best_row(&self, record: &Record, rest: &[Vec<f64>], weights: &[f64]) -> Option<usize> {
+        let Range { start: first, end: last } = self.begins(record)?;
         let coarse = ((COARSE_S / record.dt).round() as usize).max(1);
         let gains = self.gains(record, rest, weights, first..last, coarse);
         let (row, _) = gains.into_iter().max_by(|a, b| a.1.total_cmp(&b.1))?;

@@ -5,6 +5,8 @@
 //! estimated with the course (profile likelihood), for noise at the lowest frequencies is stronger than that of single samples.
 //! Score, at least [`MIN_SCORE`]: twice the gain in log likelihood, less `k ln n` for `k` parameters and `2 ln N` for `N` candidates.
 
+mod begin;
+
 use super::coming::{self, Coming};
 use super::drift::{Along, Course, Drift, Drifting, Shared};
 use super::fitted::{self, Fitted, Moments};
@@ -28,8 +30,6 @@ const MIN_SCORE: f64 = 10.0;
 const MIN_RUN_RATIO: f64 = 0.25;
 /// Evaluations of the search for a time constant.
 const MAX_EVALUATIONS: usize = 8;
-/// A step is found at most this long after a stretch of which one period alone tells \[s\].
-const NEAR_S: f64 = 0.8;
 
 /// Coefficients of deviations, one vector per run, for one joint.
 type Rows = Vec<Vec<f64>>;
@@ -143,6 +143,7 @@ impl Deviations<'_> {
                 |one: &(&Trial, Fitted, f64)| one.2 <= MIN_SCORE || self.shows_along_mean(&coming, one.0, &rest, count);
             let Some((trial, fitted, score)) = scored.into_iter().find(shows) else { break };
             let best = self.refined((trial.clone(), fitted, score), &rest, count);
+            let best = self.begun(&coming, best, &rest, count);
             if best.2 <= MIN_SCORE {
                 break;
             }
@@ -401,7 +402,7 @@ impl Deviations<'_> {
         Step {
             run: record.experiment.name.clone(),
             time: record.time(row),
-            earliest: record.time(earliest(record, row)),
+            earliest: record.time(begin::earliest(record, row)),
             row,
             spec: coming.spec.clone(),
             evidence: fitted.evidence,
@@ -412,17 +413,6 @@ impl Deviations<'_> {
             periods: record.repeats.periods.clone(),
         }
     }
-}
-
-/// The first row at which what comes at a row may have come: no other period tells of those in between.
-fn earliest(record: &Record, row: usize) -> usize {
-    let alone = |row: &usize| {
-        let periods = (row % record.samples..record.masked.len()).step_by(record.samples);
-        periods.filter(|&own| !record.masked[own]).count() < 2
-    };
-    let near = row.saturating_sub((NEAR_S / record.dt) as usize);
-    let last = (near..=row).rev().find(alone);
-    last.and_then(|last| (0..=last).rev().take_while(alone).last()).unwrap_or(row)
 }
 
 impl What {

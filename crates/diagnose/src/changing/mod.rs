@@ -28,6 +28,7 @@ pub use step::Step;
 pub use transient::Transient;
 
 use super::evidence::Trial;
+use super::outcome::Acts;
 use super::span::Span;
 use courses::{Courses, Deviations};
 use events::Events;
@@ -41,8 +42,11 @@ use transient::Event;
 
 /// Time before and after an event that is left out too \[s\].
 const EVENT_MARGIN_S: f64 = 0.2;
-/// Begins that are tried between the earliest and the latest at which something may have come.
-const EARLIER_BEGINS: usize = 4;
+/// Largest distance of begins that are tried between the earliest and the latest at which something may have come \[s\]: a load in a quarter of a second in which
+/// there was none makes the begin less likely than one far off.
+const BEGINS_APART_S: f64 = 0.25;
+/// Most of them before the latest.
+const MAX_EARLIER_BEGINS: usize = 16;
 
 /// Smallest number of periods in which an event may be something else than a contact. Two have no majority. The median of three is one of them, so
 /// that the scale of deviations is too small and noise is flagged as events.
@@ -88,9 +92,9 @@ impl Changing {
         let last = trials.iter().map(|trial| trial.start).fold(f64::NEG_INFINITY, f64::max);
         let of = |step: &Step| {
             let run = trials.iter().find(|trial| trial.experiment.name == step.run)?;
-            let earlier = if step.earliest < step.time { EARLIER_BEGINS } else { 0 };
+            let earlier = ((step.time - step.earliest) / BEGINS_APART_S).ceil().min(MAX_EARLIER_BEGINS as f64) as usize;
             let spans = |place: usize| {
-                let share = place as f64 / EARLIER_BEGINS as f64;
+                let share = place as f64 / earlier.max(1) as f64;
                 let from = run.start + step.time - share * (step.time - step.earliest);
                 let to_its_end = Span { to: run.end(), ..Span::since(from) };
                 // At the end of the last run both are the same.
@@ -331,10 +335,12 @@ fn merged(mut stretches: Vec<ExcludedSpan>) -> Vec<ExcludedSpan> {
 }
 
 /// Adds the base motions and contacts of runs without repeats, which show in what the plain model leaves of them. `predict` gives its torques along a motion.
+/// Where something `came` is no contact: it is a part of what came, of which the model as it was before knows nothing.
 pub fn add_once(
     found: &mut Changing,
     trials: &[Trial],
     operating_point: &OperatingPoint,
+    came: &[&Acts],
     predict: impl Fn(&Motion) -> DMatrix<f64> + Sync,
 ) {
     let once: Vec<&Experiment> =
@@ -344,7 +350,8 @@ pub fn add_once(
         let lines = base_motion::base_motions_once(experiment, &operating_point.load, &left);
         let shaken = lines.iter().map(|line| line.of_mean(experiment, &operating_point.load));
         let left = shaken.fold(left, |left, torque| left - torque);
-        let contacts = once::contacts_of_one_period(experiment, operating_point, left);
+        let mut contacts = once::contacts_of_one_period(experiment, operating_point, left);
+        contacts.retain(|contact| !came.iter().any(|acts| is_begin(contact, acts)));
         (lines, contacts)
     };
     for (lines, contacts) in parallel(&once, threads(), of_run) {
@@ -353,6 +360,12 @@ pub fn add_once(
     }
     found.once.extend(once.iter().map(|experiment| experiment.name.clone()));
     found.base_motions = base_motion::plausible(&found.base_motions, trials.len());
+}
+
+/// Whether what acts in a part of the recording begins at a contact.
+fn is_begin(contact: &Contact, acts: &Acts) -> bool {
+    let around = contact.from - 2.0 * EVENT_MARGIN_S..=contact.to + 2.0 * EVENT_MARGIN_S;
+    contact.run == acts.run && around.contains(&acts.from)
 }
 
 /// Takes the base motions of the identified runs off unseen runs that have them, too: they are no difference between the runs. `predict` gives the torques

@@ -28,6 +28,14 @@ use screen::Screen;
 const MIN_CHANCE_DEVIATIONS: f64 = 4.0;
 /// A residual of which the best variables predict less than this share is flat.
 pub const MIN_DEPENDENT_R2: f64 = 0.1;
+/// Smallest R2 of a residual on its variables for it to count as unexplained, where the noise is unknown.
+const MIN_DEPENDENCE_R2: f64 = 0.25;
+/// Smallest lack of fit for a residual that depends on no variable to count as unexplained.
+const MIN_FLAT_LACK_OF_FIT_RATIO: f64 = 2.0;
+/// A second or a trajectory with more than this share of the residual's square has it to itself.
+const CONCENTRATED_RATIO: f64 = 0.5;
+/// A window that is longer is most of its trajectory \[s\].
+const MAX_WINDOW_S: f64 = 5.0;
 /// A second variable has to add so much to the share that one predicts.
 pub(super) const MIN_SECOND_VARIABLE_R2: f64 = 0.05;
 
@@ -76,6 +84,22 @@ impl Residual {
     /// Whether no variable predicts it.
     pub fn flat(&self) -> bool {
         self.depends_on.is_empty()
+    }
+
+    /// The second that has more than half of its square, if any.
+    pub fn concentrated(&self) -> Option<&Window> {
+        let has = |window: &&Window| window.share > CONCENTRATED_RATIO && window.seconds < MAX_WINDOW_S;
+        self.windows.iter().find(has)
+    }
+
+    /// Whether it counts as unexplained, at a mean square over that of the noise; `None` where the noise is not known: then it has to follow some variables.
+    /// Position noise enters the mean through the model and is not in the scatter of the torques: what follows none is noise up to twice as much, unless one
+    /// second has most of it.
+    pub fn counts(&self, lack_of_fit: Option<f64>) -> bool {
+        match lack_of_fit {
+            Some(lack) => !self.flat() || lack > MIN_FLAT_LACK_OF_FIT_RATIO || self.concentrated().is_some(),
+            None => self.r2() > MIN_DEPENDENCE_R2,
+        }
     }
 
     /// R2 of the variables that it depends on.
@@ -205,4 +229,50 @@ pub fn unexplained(evidence: &Evidence, state: &State, joint: usize, settings: &
     found.findings = words::findings(&found);
     found.experiments = words::experiments(&found, evidence);
     found
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A residual that follows the velocity of joint 1 with this R2, and has this share of its square in the first of ten seconds.
+    fn residual(r2: f64, share: f64) -> Residual {
+        let window = |second: usize| Window {
+            run: "run".into(),
+            from: second as f64,
+            seconds: 1.0,
+            share: if second == 0 { share } else { (1.0 - share) / 9.0 },
+            rms: 0.1,
+        };
+        let variables = vec![Variable::Velocity(0)];
+        Residual {
+            joint: 0,
+            unmodelled: 0.1,
+            lack_of_fit: None,
+            ceiling: None,
+            depends_on: if r2 < MIN_DEPENDENT_R2 { Vec::new() } else { variables.clone() },
+            singles: vec![Predictor { variables, r2 }],
+            pairs: Vec::new(),
+            dependence: Vec::new(),
+            map: None,
+            windows: (0..10).map(window).collect(),
+            lines: Vec::new(),
+            findings: Vec::new(),
+            experiments: Vec::new(),
+        }
+    }
+
+    #[test]
+    fn a_residual_that_follows_nothing_counts_where_it_is_large_or_in_one_second() {
+        for (r2, share, lack, expected) in [
+            (0.05, 0.2, Some(1.9), false),
+            (0.05, 0.2, Some(2.1), true),
+            (0.05, 0.6, Some(1.5), true),
+            (0.15, 0.2, Some(1.5), true),
+            (0.2, 0.6, None, false),
+            (0.3, 0.2, None, true),
+        ] {
+            assert_eq!(residual(r2, share).counts(lack), expected, "{r2} {share} {lack:?}");
+        }
+    }
 }

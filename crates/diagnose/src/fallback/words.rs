@@ -1,10 +1,7 @@
 //! What was found of an unexplained residual in sentences, and the experiments that would decide.
 
-use super::{Residual, Variable};
+use super::{CONCENTRATED_RATIO, Residual, Variable};
 use crate::evidence::Evidence;
-
-/// A window or trajectory with more than this share of the residual's square has it to itself.
-const CONCENTRATED_RATIO: f64 = 0.5;
 
 /// What the figures say.
 pub(super) fn findings(found: &Residual) -> Vec<String> {
@@ -29,8 +26,7 @@ pub(super) fn findings(found: &Residual) -> Vec<String> {
     {
         said.push(format!("{:.0} % of its square are in {run}.", 100.0 * share));
     }
-    if let Some(window) = found.windows.iter().find(|window| window.share > CONCENTRATED_RATIO && window.seconds < 5.0)
-    {
+    if let Some(window) = found.concentrated() {
         let (from, to) = (window.from, window.from + window.seconds);
         said.push(format!(
             "{:.0} % of its square are between {from:.1} s and {to:.1} s of {}.",
@@ -61,7 +57,7 @@ pub(super) fn experiments(found: &Residual, evidence: &Evidence) -> Vec<String> 
             "Record a second and a third trajectory: a dependence has to hold where it was not fitted.".to_string(),
         );
     }
-    if found.windows.iter().any(|window| window.share > CONCENTRATED_RATIO && window.seconds < 5.0) {
+    if found.concentrated().is_some() {
         wanted.push("Look what is near the arm at that moment, and drive the same path from another start: a contact or a taut cable stays at its place, an effect of time at its moment.".to_string());
     }
     match found.depends_on.as_slice() {

@@ -3,6 +3,7 @@
 pub mod butterworth;
 pub mod difference;
 pub mod ends;
+pub mod polled;
 pub mod resample;
 pub mod spectral;
 

@@ -110,7 +110,7 @@ fn a_base_that_shakes_is_found_in_motions_that_do_not_repeat_and_taken_off_them(
         };
         let off = |run: usize, experiment: &Experiment| near(3.93, &(&experiment.tau - plain(run)(&experiment.motion)));
         let mut found = Changing::default();
-        add_once(&mut found, &Trial::in_turn(&experiments), &stage.operating_point, plain(0));
+        add_once(&mut found, &Trial::in_turn(&experiments), &stage.operating_point, &[], plain(0));
         let before = [off(0, &experiments[0]), off(1, &unseen[0])];
         cleaned(&mut experiments, &found, &stage.operating_point);
         without_base_motions(&mut unseen, &found, &stage.operating_point, plain(1));

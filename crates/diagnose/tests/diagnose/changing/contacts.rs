@@ -4,6 +4,7 @@ use super::{DT, PERIODS, found, kept, prepared, recorded, recorded_periods, stag
 use nalgebra::{DMatrix, DVector, Vector3};
 use plumbline_diagnose::Trial;
 use plumbline_diagnose::changing::{Changing, add_once, changing};
+use plumbline_diagnose::outcome::Acts;
 use plumbline_identify::{ExcludedSpan, Experiment, Run, Settings};
 use plumbline_model::Placement;
 use plumbline_model::term::effect::{Site, Spec};
@@ -181,11 +182,16 @@ fn a_contact_that_is_left_out_leaves_no_trace_in_the_mean() {
 
 /// Contacts of runs without repeats, each compared with what is known of the arm.
 fn found_once(runs: &[Run]) -> Changing {
+    found_beside(runs, &[])
+}
+
+/// The same where something is known to have come.
+fn found_beside(runs: &[Run], came: &[&Acts]) -> Changing {
     let stage = stage();
     let once: Vec<Run> = runs.iter().map(|run| Run { period: None, ..run.clone() }).collect();
     let mut found = Changing::default();
     let plain = |motion: &_| stage.plain(motion);
-    add_once(&mut found, &Trial::in_turn(&prepared(&once, &kept())), &stage.operating_point, plain);
+    add_once(&mut found, &Trial::in_turn(&prepared(&once, &kept())), &stage.operating_point, came, plain);
     found
 }
 
@@ -202,6 +208,19 @@ fn a_contact_is_found_in_a_motion_that_does_not_repeat() {
     // What is there when the run ends may have come to stay.
     assert!(push(8.0, 11.0).0.contacts.is_empty());
     assert!(found_once(&recorded_periods(2, 1, 72, |_, _| {})).contacts.is_empty());
+}
+
+#[test]
+fn where_something_came_in_a_motion_that_does_not_repeat_is_no_contact() {
+    let (point, force) = (Vector3::new(0.05, -0.04, 0.02), Vector3::new(4.0, -7.0, 5.0));
+    let runs = pushed_by(point, force, 1, 71, |t| window(t, 4.2, 5.2));
+    let came = |run: &str, from: f64| Acts { run: run.into(), from, to_end_of_recording: true };
+    for (run, from, left) in
+        [(&*runs[0].name, 4.7, 0), (&*runs[0].name, 3.9, 0), (&*runs[0].name, 2.0, 1), ("other", 4.7, 1)]
+    {
+        let found = found_beside(&runs, &[&came(run, from)]).contacts;
+        assert_eq!(found.len(), left, "{run} {from}: {found:?}");
+    }
 }
 
 #[test]
