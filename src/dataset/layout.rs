@@ -3,6 +3,7 @@
 use super::{Format, Run};
 use nalgebra::DMatrix;
 use plumbline_core::{BadInput, MAX_JOINTS};
+use plumbline_identify::signal::polled::{Sent, sent};
 
 /// The columns of one file, torque still in the unit of the file.
 #[derive(Debug)]
@@ -12,6 +13,18 @@ pub(super) struct Columns {
     pub dq: Option<DMatrix<f64>>,
     pub tau: DMatrix<f64>,
     pub extra: Vec<(String, Vec<f64>)>,
+}
+
+impl Columns {
+    /// Gives the rows of a run the times at which the arm sent them, where the recorder was a little faster than the arm.
+    pub fn take_times_of_sender(&mut self, run: &str) {
+        let Some(Sent { t, step, repeats }) = sent(&self.t, &self.q, &self.tau) else { return };
+        tracing::info!(
+            "run {run}: {repeats} rows repeat the one before, for the arm sent one every {:.3} ms and was read more often; its times are even",
+            1e3 * step
+        );
+        self.t = t;
+    }
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -3,7 +3,6 @@
 use super::layout::Torque;
 use super::{Dataset, Format, Run, file};
 use plumbline_core::{BadInput, from_toml, parallel, threads};
-use plumbline_identify::signal::polled::{Sent, sent};
 use plumbline_model::Mounting;
 use serde::{Deserialize, Serialize};
 use std::fs;
@@ -151,7 +150,7 @@ fn read_run(dir: &Path, file: &str, index: usize, entry: &RunEntry, shared: Moun
     if !Path::new(&entry.file).components().all(|part| matches!(part, Component::Normal(_))) || entry.file.is_empty() {
         return Err(BadInput::new(file, key("file"), format!("`{}`", entry.file), "a file in the dataset's folder"));
     }
-    let columns = file::read_run(&dir.join(&entry.file), Torque::Required)?;
+    let mut columns = file::read_run(&dir.join(&entry.file), Torque::Required)?;
     if let Some(period) = entry.period {
         let length = columns.t[columns.t.len() - 1] - columns.t[0];
         if !(period > 0.0 && period <= length * 1.001 + 0.01) {
@@ -163,20 +162,12 @@ fn read_run(dir: &Path, file: &str, index: usize, entry: &RunEntry, shared: Moun
         return Err(BadInput::new(file, key("session"), entry.session, "a number from 1"));
     }
     // A period is one of the stamps.
-    let t = match sent(&columns.t, &columns.q, &columns.tau).filter(|_| entry.period.is_none()) {
-        None => columns.t,
-        Some(Sent { t, step, repeats }) => {
-            let ms = 1e3 * step;
-            tracing::info!(
-                "run {}: {repeats} rows repeat the one before, for the arm sent one every {ms:.3} ms and was read more often; its times are even",
-                entry.file
-            );
-            t
-        }
-    };
+    if entry.period.is_none() {
+        columns.take_times_of_sender(&entry.file);
+    }
     let data = plumbline_identify::Run {
         name: entry.file.clone(),
-        t,
+        t: columns.t,
         q: columns.q,
         dq: columns.dq,
         tau: columns.tau,

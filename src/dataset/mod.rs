@@ -102,8 +102,10 @@ impl Run {
 
     /// One motion from its file alone, in a given mounting; torques (in Nm) may be absent, `tau` then has no columns.
     pub fn read(path: &Path, mounting: Mounting) -> Result<Run, BadInput> {
-        let Columns { t, q, dq, tau, extra } = file::read_run(path, Torque::Optional)?;
+        let mut columns = file::read_run(path, Torque::Optional)?;
         let name = path.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned());
+        columns.take_times_of_sender(&name);
+        let Columns { t, q, dq, tau, extra } = columns;
         let data = plumbline_identify::Run { name, t, q, dq, tau, mounting, period: None };
         Ok(Run { extra, ..Run::new(data, Role::Validate) })
     }

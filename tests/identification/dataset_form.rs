@@ -64,6 +64,31 @@ fn what_is_written_reads_back_bit_by_bit() {
     assert_eq!(read.runs[0].extra("tau_cmd1").unwrap().len(), 40);
 }
 
+/// Both runs were read at 1 kHz and sent every 1.02 ms: the one with a period keeps its stamps.
+#[test]
+fn rows_that_were_read_faster_than_sent_get_the_times_of_the_sender() {
+    let mut set = made_up(600, 2);
+    for run in &mut set.runs {
+        for k in 0..600 {
+            let sent = ((k as f64 * 1e-3 + 1e-9) / 1.02e-3).floor() * 1.02e-3;
+            run.data.q.row_mut(k).fill((3.0 * sent).sin());
+            run.data.tau.row_mut(k).fill((1e5 * sent).sin());
+            run.data.dq = None;
+            run.extra.clear();
+        }
+    }
+    let room = tempfile::tempdir().unwrap();
+    set.write(&room.path().join("set")).unwrap();
+    let read = Dataset::read(&room.path().join("set")).unwrap();
+    assert_eq!(read.runs[0].data.t, set.runs[0].data.t);
+    let sent = &read.runs[1].data.t;
+    assert!(sent.len() == 600 && (sent[3] - sent[2] - 1.02e-3).abs() < 2e-6, "{}", sent[3] - sent[2]);
+    assert_eq!(&Run::read(&room.path().join("set/b.csv"), Mounting::UPRIGHT).unwrap().data.t, sent);
+    // Once it has them, they stay.
+    read.write(&room.path().join("again")).unwrap();
+    assert_eq!(&Dataset::read(&room.path().join("again")).unwrap().runs[1].data.t, sent);
+}
+
 #[test]
 fn the_hash_follows_the_content_alone() {
     let base = made_up(20, 2);
