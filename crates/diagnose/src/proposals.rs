@@ -289,7 +289,8 @@ fn shortlisted<'a>(candidates: impl Iterator<Item = (&'a Candidate, bool)>) -> V
 mod tests {
     use super::*;
     use crate::Settings;
-    use crate::synthetic::{recorded, with_effect};
+    use crate::fit::Problem;
+    use crate::synthetic::{At, recorded, with_effect};
     use plumbline_model::term::effect::{Site, family};
 
     #[test]
@@ -313,6 +314,25 @@ mod tests {
             assert!(shortlisted(library().chain(library())).len() == short.len() && short.len() <= 16);
             let found = shortlisted(search.library.iter().map(|item| (item, true)));
             assert!(found.len() == short.len() && found.iter().all(|starts| starts.len() == 1));
+        });
+    }
+
+    #[test]
+    fn what_came_begins_between_the_begins_that_the_periods_leave_open() {
+        let offset = family("torque-offset").unwrap();
+        let torque = |at: &At| [0.0, if at.trajectory == 1 && at.elapsed >= 6.97 { 2.0 } else { 0.0 }];
+        recorded(2, 61, torque).search(&[offset], &Settings::default(), |search, base| {
+            let spec = Spec { family: offset.id, form: "", site: Site::Joint(1), settings: Vec::new() };
+            let start = search.evidence().begins()[1];
+            let came = [6.4, 6.65, 6.9, 7.15].map(|from| (spec.clone(), Span::since(start + from)));
+            let begun = |came: &[(Spec, Span)]| {
+                let problem = Problem { evidence: search.problem.evidence, prior: None };
+                let search = Search { problem, came, ..*search };
+                let item = Candidate::of(search.evidence(), search.operating_point, spec.clone(), came[0].1);
+                search.begun(base, item.unwrap()).span.from - start
+            };
+            assert!((begun(&came[2..]) - 6.97).abs() < 0.05, "{}", begun(&came[2..]));
+            assert_eq!(begun(&came[2..3]), came[2].1.from - start, "where nothing else is open");
         });
     }
 
