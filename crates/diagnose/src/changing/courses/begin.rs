@@ -17,7 +17,8 @@ const MAX_LESS: f64 = 4.0;
 const NEAR_S: f64 = 0.8;
 
 impl Deviations<'_> {
-    /// A step that begins where its likelihood is largest, near where it is in `best`; at the last of several rows of which nothing tells them apart.
+    /// Near a stretch of which one period alone tells, a step that begins where its likelihood is largest; at the last of several rows of which nothing tells
+    /// them apart. Elsewhere single samples tell its begin better: an arm that gives way to a tool has done so for a while.
     pub(super) fn begun(
         &self,
         coming: &[Coming],
@@ -28,7 +29,7 @@ impl Deviations<'_> {
         let What::Step(which, row) = best.0.what else { return best };
         let one = &coming[which];
         let record = &self.records[one.run];
-        let Some(range) = one.begins(record) else { return best };
+        let Some(range) = one.begins(record).filter(|_| latest(record, row).is_some()) else { return best };
         let at = |row: usize| {
             let trial = self.step((which, one), row, one.since(record, row));
             let fitted = self.fit(&trial, rows)?;
