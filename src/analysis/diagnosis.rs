@@ -237,7 +237,7 @@ struct Prepared {
     starts: Vec<ExcludedSpan>,
 }
 
-/// What happens once is sought in what the plain model leaves, or what was `found` already.
+/// What happens once is sought in what the plain model leaves, or what is `known` already.
 fn prepared(question: &Question, known: Option<&Diagnosed>) -> Result<Prepared, Failure> {
     let settings = Settings { keep_periods: true, without_ends: true, ..question.settings.clone() };
     let mut experiments = pipeline::for_estimator(question.identify, &settings, question.options)?;
@@ -289,10 +289,10 @@ fn prepared(question: &Question, known: Option<&Diagnosed>) -> Result<Prepared, 
 }
 
 /// Runs of which those that do not repeat are without what acts in a part of the recording. In the others its deviations tell.
-fn without_acting(experiments: &[Experiment], acting: &[DMatrix<f64>]) -> Vec<Experiment> {
-    let mut without = experiments.to_vec();
-    for (experiment, torque) in without.iter_mut().zip(acting).filter(|(experiment, _)| experiment.repeats.is_none()) {
-        experiment.tau -= torque;
+fn without_acting<'a>(experiments: &'a [Experiment], acting: &[DMatrix<f64>]) -> Cow<'a, [Experiment]> {
+    let mut without = Cow::Borrowed(experiments);
+    for (k, torque) in acting.iter().enumerate().filter(|(k, _)| experiments[*k].repeats.is_none()) {
+        without.to_mut()[k].tau -= torque;
     }
     without
 }
@@ -341,7 +341,7 @@ mod tests {
         let acting: Vec<_> = experiments.iter().map(|one| DMatrix::from_element(one.tau.nrows(), 2, 0.3)).collect();
         let off = |acting: &[_]| {
             let without = without_acting(&experiments, acting);
-            let taken = experiments.iter().zip(&without).map(|(with, without)| (&with.tau - &without.tau).mean());
+            let taken = experiments.iter().zip(&*without).map(|(with, without)| (&with.tau - &without.tau).mean());
             taken.map(|taken| (10.0 * taken).round() / 10.0).collect::<Vec<_>>()
         };
         assert_eq!([off(&acting), off(&[])], [[0.0, 0.3], [0.0, 0.0]]);

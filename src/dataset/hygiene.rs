@@ -2,6 +2,7 @@
 
 use super::Run;
 use nalgebra::DVectorView;
+use plumbline_identify::signal::polled::repeats;
 
 /// Repeats, gaps and resolution of one run.
 #[derive(Clone, Debug, PartialEq)]
@@ -29,13 +30,11 @@ impl Hygiene {
         let mut moving: Vec<f64> = steps.iter().copied().filter(|&step| step > 0.0).collect();
         moving.sort_by(f64::total_cmp);
         let dt = moving.get(moving.len() / 2).copied().unwrap_or(0.0);
-        let same =
-            |k: usize| run.data.q.row(k) == run.data.q.row(k - 1) && run.data.tau.row(k) == run.data.tau.row(k - 1);
         Hygiene {
             samples: run.samples(),
             dt,
             repeated_times: steps.len() - moving.len(),
-            repeated_rows: (1..run.samples()).filter(|&k| same(k)).count(),
+            repeated_rows: repeats(&run.data.q, &run.data.tau).len(),
             gaps: moving.iter().filter(|&&step| step > 1.5 * dt).count(),
             longest_gap: moving.last().copied().unwrap_or(0.0),
             q_quantum: run.data.q.column_iter().map(quantum).collect(),

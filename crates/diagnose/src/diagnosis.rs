@@ -151,7 +151,7 @@ pub fn diagnose(input: &Input, settings: &Settings, progress: &Watch) -> Result<
     let joints: Vec<JointFacts> = (0..evidence.joints()).map(facts).collect();
     let screened = screened(&evidence, left, settings, &joints);
     let by_chance = |one: &Residual| !evidence.repeats() && fallback::may_be_chance(&evidence, left, one, settings);
-    let unexplained = screened.iter().filter(|one| one.counts(joints[one.joint].lack_of_fit.after) && !by_chance(one));
+    let unexplained = screened.iter().filter(|one| one.counts() && !by_chance(one));
     let residuals: Vec<Residual> = unexplained.cloned().collect();
     let mut curves = curves::of(&search, &base, left, &residuals);
     // With unknown noise a joint may be too quiet to be called unexplained and still follow a variable.

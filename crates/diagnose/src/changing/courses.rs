@@ -151,10 +151,8 @@ impl Deviations<'_> {
             // Each once more beside all others.
             for k in 0..taken.len() {
                 rest = self.without(taken.iter().enumerate().filter(|(other, _)| *other != k).map(|(_, one)| one));
-                let trial = taken[k].0.clone();
-                if let Some(fitted) = self.fit(&trial, &rest) {
-                    let score = self.score(&trial, &fitted, count);
-                    taken[k] = (trial, fitted, score);
+                if let Some(again) = self.tried(taken[k].0.clone(), &rest, count) {
+                    taken[k] = again;
                 }
             }
             taken.retain(|(_, _, score)| *score > MIN_SCORE);
@@ -230,7 +228,7 @@ impl Deviations<'_> {
         let What::Step(which, row) = trial.what else { return true };
         let one = &coming[which];
         let trial = self.step((which, one), row, one.since_along_mean(&self.records[one.run], row));
-        self.fit(&trial, rows).is_some_and(|fitted| self.score(&trial, &fitted, candidates) > MIN_SCORE)
+        self.tried(trial, rows, candidates).is_some_and(|(_, _, score)| score > MIN_SCORE)
     }
 
     /// Parameters of a drift in a run.
@@ -334,6 +332,13 @@ impl Deviations<'_> {
         fitted.evidence - parameters * self.count.ln() - 2.0 * (candidates as f64).ln()
     }
 
+    /// A trial with its fit and score.
+    fn tried(&self, trial: Trial, rows: &[Rows], candidates: usize) -> Option<(Trial, Fitted, f64)> {
+        let fitted = self.fit(&trial, rows)?;
+        let score = self.score(&trial, &fitted, candidates);
+        Some((trial, fitted, score))
+    }
+
     /// The time constant where the likelihood is largest, near where it is.
     fn refined(&self, best: (Trial, Fitted, f64), rows: &[Rows], candidates: usize) -> (Trial, Fitted, f64) {
         let What::Drift(what, course) = best.0.what else { return best };
@@ -348,10 +353,10 @@ impl Deviations<'_> {
         let ratio = (5.0_f64.sqrt() - 1.0) / 2.0;
         let mut at = |log: f64| {
             let trial = self.trial(what, course.with_time(log.exp()), best.0.shared);
-            let Some(fitted) = self.fit(&trial, rows) else { return f64::NEG_INFINITY };
-            let score = self.score(&trial, &fitted, candidates);
+            let Some(tried) = self.tried(trial, rows, candidates) else { return f64::NEG_INFINITY };
+            let score = tried.2;
             if score > best.2 {
-                best = (trial, fitted, score);
+                best = tried;
             }
             score
         };

@@ -92,11 +92,10 @@ impl Residual {
         self.windows.iter().find(has)
     }
 
-    /// Whether it counts as unexplained, at a mean square over that of the noise; `None` where the noise is not known: then it has to follow some variables.
-    /// Position noise enters the mean through the model and is not in the scatter of the torques: what follows none is noise up to twice as much, unless one
-    /// second has most of it.
-    pub fn counts(&self, lack_of_fit: Option<f64>) -> bool {
-        match lack_of_fit {
+    /// Whether it counts as unexplained. Where the noise is not known it has to follow some variables. Position noise enters the mean through the model and is
+    /// not in the scatter of the torques: what follows none is noise up to twice as much, unless one second has most of it.
+    pub fn counts(&self) -> bool {
+        match self.lack_of_fit {
             Some(lack) => !self.flat() || lack > MIN_FLAT_LACK_OF_FIT_RATIO || self.concentrated().is_some(),
             None => self.r2() > MIN_DEPENDENCE_R2,
         }
@@ -236,7 +235,7 @@ mod tests {
     use super::*;
 
     /// A residual that follows the velocity of joint 1 with this R2, and has this share of its square in the first of ten seconds.
-    fn residual(r2: f64, share: f64) -> Residual {
+    fn residual(r2: f64, share: f64, lack_of_fit: Option<f64>) -> Residual {
         let window = |second: usize| Window {
             run: "run".into(),
             from: second as f64,
@@ -248,7 +247,7 @@ mod tests {
         Residual {
             joint: 0,
             unmodelled: 0.1,
-            lack_of_fit: None,
+            lack_of_fit,
             ceiling: None,
             depends_on: if r2 < MIN_DEPENDENT_R2 { Vec::new() } else { variables.clone() },
             singles: vec![Predictor { variables, r2 }],
@@ -272,7 +271,7 @@ mod tests {
             (0.2, 0.6, None, false),
             (0.3, 0.2, None, true),
         ] {
-            assert_eq!(residual(r2, share).counts(lack), expected, "{r2} {share} {lack:?}");
+            assert_eq!(residual(r2, share, lack).counts(), expected, "{r2} {share} {lack:?}");
         }
     }
 }

@@ -27,8 +27,7 @@ pub struct Sent {
 
 /// When the rows of positions and torques, N x n, that were read at times `t` \[s\] were sent; `None` where the stamps are the arm's, or nothing tells.
 pub fn sent(t: &[f64], q: &DMatrix<f64>, tau: &DMatrix<f64>) -> Option<Sent> {
-    let same = |row: &usize| q.row(*row) == q.row(row - 1) && tau.row(*row) == tau.row(row - 1);
-    let repeats: Vec<usize> = (1..t.len()).filter(same).collect();
+    let repeats = repeats(q, tau);
     let steps = t.windows(2).map(|pair| pair[1] - pair[0]);
     let apart = repeats.windows(2).map(|pair| (pair[1] - pair[0]) as f64);
     if repeats.len() < MIN_REPEATS || !is_even(steps) || !is_even(apart) || steps_across(q, &repeats)? > MAX_STEPS {
@@ -45,6 +44,11 @@ pub fn sent(t: &[f64], q: &DMatrix<f64>, tau: &DMatrix<f64>) -> Option<Sent> {
         }
     };
     Some(Sent { t: (0..t.len()).map(of_row).collect(), step, repeats: repeats.len() })
+}
+
+/// Rows of positions and torques, N x n, that repeat the one before.
+pub fn repeats(q: &DMatrix<f64>, tau: &DMatrix<f64>) -> Vec<usize> {
+    (1..q.nrows()).filter(|&row| q.row(row) == q.row(row - 1) && tau.row(row) == tau.row(row - 1)).collect()
 }
 
 /// Whether all are near their median.

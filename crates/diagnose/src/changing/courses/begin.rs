@@ -1,4 +1,4 @@
-//! When a step comes: where the likelihood of what differs between the periods is largest.
+//! When a step comes, near a stretch of which one period alone tells: where the likelihood of what differs between the periods is largest.
 
 use super::super::coming::Coming;
 use super::super::fitted::Fitted;
@@ -30,12 +30,7 @@ impl Deviations<'_> {
         let one = &coming[which];
         let record = &self.records[one.run];
         let Some(range) = one.begins(record).filter(|_| latest(record, row).is_some()) else { return best };
-        let at = |row: usize| {
-            let trial = self.step((which, one), row, one.since(record, row));
-            let fitted = self.fit(&trial, rows)?;
-            let score = self.score(&trial, &fitted, candidates);
-            Some((trial, fitted, score))
-        };
+        let at = |row: usize| self.tried(self.step((which, one), row, one.since(record, row)), rows, candidates);
         let (mut best, mut row, mut left) = (best, row, MAX_BEGINS);
         let mut step = (FIRST_S / record.dt) as usize;
         while step >= ((LAST_S / record.dt) as usize).max(1) && left > 0 {
