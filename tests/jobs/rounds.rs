@@ -88,21 +88,13 @@ fn rivals_are_told_apart_by_the_motion_that_is_planned_for_them() {
     // The same from the recorded data of the first round; of both rounds nothing is open.
     let next = |dataset: &Path, out: &Path| {
         let mut command = plumbline();
-        command.arg("next").arg(dataset).arg("--out").arg(out).args([
-            "--verbose",
-            "--force",
-            "--period",
-            "5",
-            "--starts",
-            "12",
-            "--rounds",
-            "1",
-        ]);
+        command.arg("next").arg(dataset).arg("--out").arg(out).args(["--verbose", "--force", "--period", "5"]);
         Done::of(command).expect_code(0)
     };
     let out = place.path().join("next");
     let open = next(&place.out().join("round-1/dataset"), &out);
-    assert!(open.out.contains("expected with the planned motion") && load_plan(&out.join("next.toml")).is_ok());
+    let planned = open.out.contains("expected with the planned motion") && load_plan(&out.join("next.toml")).is_ok();
+    assert!(planned, "{}", open.output());
     let none = next(&place.out().join("dataset"), &out);
     assert!(none.out.contains("nothing is left open") && !out.join("next.toml").exists(), "{}", none.output());
 }
