@@ -1,11 +1,8 @@
 //! What differs from period to period as effects, notes and data quality of a diagnosis.
 
-use super::{BaseMotion, Changing, Contact, Course, Drift, Drifting, Hygiene, Shared, Step};
+use super::{BEGINS_APART_S, BaseMotion, Changing, Contact, Course, Drift, Drifting, Hygiene, Shared, Step};
 use crate::outcome::{Acts, Diagnosis, Effect, Folds, JointFacts, Parameters, Quantity, Verdict, places};
 use plumbline_model::term::{base_motion, contact};
-
-/// Times that are nearer than this are one \[s\].
-const SAME_TIME_S: f64 = 0.1;
 
 /// Note where a drift is taken off the parameters.
 pub const AT_THE_END: &str =
@@ -47,9 +44,9 @@ impl Changing {
             }
             diagnosis.effects.push(effect);
         }
-        // The search of the means has the parameters of those that it found.
+        // The search of the means has the parameters of those that it found. What it found nothing in beside them is how they came.
         let known = |step: &Step| {
-            let near = step.earliest - SAME_TIME_S..step.time + SAME_TIME_S;
+            let near = step.earliest - BEGINS_APART_S..step.time + BEGINS_APART_S;
             let same = |acts: &Acts| acts.run == step.run && near.contains(&acts.from);
             diagnosis.effects.iter().any(|effect| effect.acts.as_ref().is_some_and(same))
         };

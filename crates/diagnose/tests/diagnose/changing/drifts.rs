@@ -1,6 +1,7 @@
 //! Drifts: what wanders through a recording, alone or beside steps.
 
 use super::*;
+use plumbline_diagnose::outcome::{Acts, Diagnosis, Effect, JointFacts};
 
 #[test]
 fn an_offset_that_drifts_is_found_within_its_deviation() {
@@ -145,4 +146,14 @@ fn what_one_run_alone_does_is_no_drift() {
     assert!(found.drifts.is_empty(), "{:?}", found.drifts);
     let [step] = &found.steps[..] else { panic!("{:?}", found.steps) };
     assert!(step.spec.family == "torque-offset" && (step.time - 11.0).abs() < 1.0, "{step:?}");
+    // Beside a payload that the search of the means found there it is how that came.
+    for (later, effects) in [(0.2, 1), (0.4, 2)] {
+        let acts = Acts { run: step.run.clone(), from: step.time + later, to_end_of_recording: true };
+        let payload = Effect { id: "payload".into(), acts: Some(acts), ..Effect::default() };
+        let joint = JointFacts { floor_of_mean: Some(0.01), ..JointFacts::default() };
+        let mut diagnosis =
+            Diagnosis { effects: vec![payload], joints: vec![joint; step.rms.len()], ..Diagnosis::default() };
+        found.add_to(&mut diagnosis, 0.7, None);
+        assert_eq!(diagnosis.effects.len(), effects, "{later} s: {:?}", diagnosis.effects);
+    }
 }
