@@ -29,7 +29,7 @@ use super::select::{MAX_LISTED_SCORES, Search, Selected};
 use super::span::Span;
 use super::state::State;
 use super::unseen::{THRESHOLD_FLOOR_RATIO, Unseen, columns_of};
-use super::veto::{Deciding, end_where_refuted, vetoed};
+use super::veto::{Deciding, end_where_refuted, vetoed, without_first_terms};
 use plumbline_identify::solve::Equations;
 use plumbline_identify::{EstimateError, Experiment};
 use plumbline_model::term::effect;
@@ -104,6 +104,11 @@ pub fn diagnose(input: &Input, settings: &Settings, progress: &Watch) -> Result<
 
     end_where_refuted(&search, &mut selected, &unseen, input);
     let selected = vetoed(&search, selected, input, &unseen);
+    let facts_of = |state: &State| {
+        (0..evidence.joints()).map(|joint| facts(&evidence, settings, joint, &base, state)).collect::<Vec<_>>()
+    };
+    let selected =
+        without_first_terms(&search, selected, |state| screened(&evidence, state, settings, &facts_of(state)));
     let (before_effects, taken, adequacy) = {
         let model = Unseen::of(&unseen, structure, input.deciding(), &selected.state, operating_point);
         let left_by = |state: &State| model.residuals_of(&search.problem, state, &state.fit.phi);

@@ -25,6 +25,11 @@ pub struct Found {
 }
 
 impl Found {
+    /// Whether the gain pays more than twice for parameters and choice.
+    pub(super) fn is_clear(&self) -> bool {
+        self.score > self.penalty
+    }
+
     /// As an effect at a place; the caller adds parameters and where it stands in the model.
     pub(super) fn effect(&self, spec: &Spec) -> Effect {
         let mut alternatives: Vec<String> = Vec::new();

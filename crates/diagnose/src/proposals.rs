@@ -31,6 +31,9 @@ const MIN_START_GAIN_RATIO: f64 = 0.5;
 const UNDECLARED_COUPLINGS: f64 = 1e-3;
 /// Smallest score with the settings found for another state, as a share of the best, from which on they are searched again.
 const MIN_SCORE_RATIO_OF_FOUND: f64 = 0.5;
+/// Smallest gain of the exact columns at settings that sketches found, as a share of that of the sketch: means over some samples do not show a link that swings
+/// on a stiff gear faster than that.
+const MIN_EXACT_GAIN_RATIO: f64 = 0.8;
 /// Resolution of the begin of an effect in a motion that does not repeat \[s\].
 const BEGIN_RESOLUTION_S: f64 = 0.05;
 /// Resolution of a time constant, as a share of it.
@@ -144,19 +147,22 @@ impl Search<'_> {
             let item = if searched(start) { self.refined(state, item) } else { item };
             let scored = self.score(state, &item);
             progress(Progress::Candidates { done: done.fetch_add(1, Ordering::Relaxed) + 1, of });
-            scored
+            (item, scored)
         });
         let mut tried = tried.into_iter();
-        let best = |starts: &Vec<&Candidate>| {
-            let scored = tried.by_ref().take(starts.len()).flatten();
-            scored.max_by(|a, b| a.score.total_cmp(&b.score))
-        };
-        let mut scored: Vec<Scored> = short.iter().filter_map(best).collect();
-        scored.sort_by(|a, b| b.score.total_cmp(&a.score));
-        for one in scored.iter().filter(|one| one.item.spec.settings.len() > 1) {
-            refined.retain(|other| !other.alike(&one.item));
-            refined.push(one.item.clone());
+        let (mut scored, mut found): (Vec<Scored>, Vec<Candidate>) = (Vec::new(), Vec::new());
+        for starts in &short {
+            let (items, own): (Vec<_>, Vec<_>) = tried.by_ref().take(starts.len()).unzip();
+            let best = own.into_iter().flatten().max_by(|a, b| a.score.total_cmp(&b.score));
+            // What is not plausible at any maximum is not searched from all starts again either.
+            found.extend(best.as_ref().map(|best| best.item.clone()).or(items.into_iter().next()));
+            scored.extend(best);
         }
+        for item in found.into_iter().filter(|item| item.spec.settings.len() > 1) {
+            refined.retain(|other| !other.alike(&item));
+            refined.push(item);
+        }
+        scored.sort_by(|a, b| b.score.total_cmp(&a.score));
         scored
     }
 
@@ -200,8 +206,11 @@ impl Search<'_> {
         }
         let found = search::largest(&start, &steps, &at);
         // A sketch is approximate: the found settings are evaluated exactly.
-        let found = Candidate::of(self.evidence(), self.operating_point, spec_at(&found), item.span);
-        match found {
+        let exactly = |shares: &[f64]| Candidate::of(self.evidence(), self.operating_point, spec_at(shares), item.span);
+        let exact = |shares: &[f64]| exactly(shares).map_or(f64::NEG_INFINITY, |item| gain(&item));
+        let misled = exact(&found) < MIN_EXACT_GAIN_RATIO * at(&found);
+        let found = if misled { search::largest(&found, &steps, &exact) } else { found };
+        match exactly(&found) {
             Some(found) if gain(&found) > before => found,
             _ => item,
         }
@@ -351,7 +360,9 @@ mod tests {
                 // A search compares gains at the weights of the state; a score has weights of its own.
                 assert!(one.score >= (1.0 - 1e-4) * before.score, "{} then {}", before.score, one.score);
             }
-            assert_eq!(refined.len(), second.len());
+            let implausible = refined.iter().filter(|item| !second.iter().any(|one| one.item.alike(item)));
+            assert_eq!(refined.len() - implausible.clone().count(), second.len());
+            assert!(implausible.clone().all(|item| search.score(base, item).is_none()));
             assert!(second.iter().all(|one| refined.iter().any(|item| item.spec == one.item.spec)));
         });
     }
@@ -381,5 +392,53 @@ mod tests {
                 assert_eq!(found.item.spec != known, searched, "{:?}", found.item.spec);
             });
         }
+    }
+
+    #[test]
+    fn exact_columns_decide_where_means_mislead() {
+        let elasticity = family("joint-elasticity").unwrap();
+        let swinging = |settings: &[f64]| Spec {
+            family: elasticity.id,
+            form: "swinging",
+            site: Site::Joint(1),
+            settings: settings.to_vec(),
+        };
+        let recorded = with_effect(2, 62, &swinging(&[3e-4, 30.0]), 0.5, |_| [0.0; 2]);
+        recorded.search(&[elasticity], &Settings::default(), |search, base| {
+            let (evidence, point) = (search.evidence(), search.operating_point);
+            let start = Candidate::of(evidence, point, swinging(&[1e-4, 2.5]), Span::ALL).unwrap();
+            let settings = elasticity.form("swinging").unwrap().settings;
+            let spec_at = |shares: &[f64]| {
+                swinging(&settings.iter().zip(shares).map(|(own, share)| inside(own, *share)).collect::<Vec<_>>())
+            };
+            let gain = |item: Option<Candidate>| {
+                let item = item.unwrap();
+                let gain = search.problem.gain(&base.fit, &base.cross(evidence, &item.rows), None);
+                gain.map_or(0.0, |gain| item.plausibility(gain.gamma.as_slice()) * gain.evidence)
+            };
+            let exact = |spec: Spec| gain(Candidate::of(evidence, point, spec, Span::ALL));
+            let mean = |spec: Spec| gain(Candidate::sketch(evidence, point, spec, Span::ALL));
+            let shares = settings.iter().zip(&start.spec.settings).map(|(own, value)| own.share(*value)).collect();
+            let steps: Vec<f64> = settings.iter().map(Setting::spacing).collect();
+            let at = |shares: &[f64]| mean(spec_at(shares));
+            let (beside, _) = search::beside(shares, exact(start.spec.clone()), steps[0], &at);
+            let misleading = search::largest(&beside, &steps, &at);
+            let (shown, true_gain) = (mean(spec_at(&misleading)), exact(spec_at(&misleading)));
+            assert!(true_gain < 0.8 * shown, "{true_gain} of {shown}");
+            let found = exact(search.refined(base, start).spec);
+            assert!(found > 1.1 * true_gain, "{found} instead of {true_gain}");
+        });
+    }
+
+    #[test]
+    fn what_is_implausible_is_remembered_too() {
+        let elasticity = family("joint-elasticity").unwrap();
+        let spec = Spec { family: elasticity.id, form: "swinging", site: Site::Joint(1), settings: vec![2e-3, 5.0] };
+        with_effect(2, 61, &spec, -0.5, |_| [0.0; 2]).search(&[elasticity], &Settings::default(), |search, base| {
+            let mut refined = Vec::new();
+            let wanted = |item: &Candidate| item.spec.is_same_effect(&spec) && item.spec.form == spec.form;
+            let scored = search.proposed(base, wanted, &mut refined, &|_| {});
+            assert!(scored.is_empty() && refined.len() == 1);
+        });
     }
 }

@@ -86,6 +86,11 @@ impl Residual {
         self.depends_on.is_empty()
     }
 
+    /// Whether it depends on positions alone.
+    pub fn follows_positions(&self) -> bool {
+        !self.flat() && self.depends_on.iter().all(|variable| matches!(variable, Variable::Position(_)))
+    }
+
     /// The second that has more than half of its square, if any.
     pub fn concentrated(&self) -> Option<&Window> {
         let has = |window: &&Window| window.share > CONCENTRATED_RATIO && window.seconds < MAX_WINDOW_S;
