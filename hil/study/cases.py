@@ -667,8 +667,9 @@ def make(seed, clean, folder, kinds=None, quick=False, settled=False, served=Fal
 def describe(case, e):
     """An effect as truth.json has it: joints count from 1, and parameters are in the report's terms."""
     kind, j, size = e["kind"], e["joint"], e["size"]
-    families = KINDS[kind]
-    whole = bool(families) and bool(families & WHOLE_ARM)
+    # the zero of the first encoder and a turn of the base about the first axis are the same
+    families = KINDS[kind] | {"mounting"} if kind == "zero" and j == 0 else KINDS[kind]
+    whole = bool(KINDS[kind]) and bool(KINDS[kind] & WHOLE_ARM)
     all_joints = kind in ("arctan", "power")
     joints = [i + 1 for i, r in enumerate(e["ratios"]) if r >= DETECTABLE] if all_joints else [] if whole else [j + 1]
     optional = [i + 1 for i in range(case.arm.n)] if all_joints else []

@@ -296,9 +296,9 @@ mod tests {
                 Spec { family: "joint-elasticity", form: "swinging", site: Site::Joint(0), settings: vec![c, 2.5] };
             Candidate { spec, ..of(Expected::FirstSetting) }
         };
-        // The limits are 1e-5 and 1e-2 rad/Nm.
+        // The limits are 1e-5 and 3.2e-2 rad/Nm.
         assert!(stiff(1e-5).allows(&[0.95e-5]) && !stiff(1e-5).allows(&[0.8e-5]));
-        assert!(stiff(1e-2).allows(&[1.05e-2]) && !stiff(1e-2).allows(&[1.2e-2]));
+        assert!(stiff(3.2e-2).allows(&[3.4e-2]) && !stiff(3.2e-2).allows(&[3.8e-2]));
         let encoder = of(Expected::AtMost(0.05));
         assert!(encoder.allows(&[-0.09]) && encoder.allows(&[0.0, 0.0]) && !encoder.allows(&[0.01, -0.11]));
         assert!(encoder.plausibility(&[0.04]) == 1.0 && encoder.plausibility(&[-0.1]) == 0.5);

@@ -8,7 +8,7 @@ use super::found::{Progress, Watch};
 use super::library::{Candidate, is_undeclared_coupling};
 use super::moments::GroupedCross;
 use super::rows::Rows;
-use super::search;
+use super::search::{self, Settled};
 use super::select::Search;
 use super::span::Span;
 use super::state::{State, Tried};
@@ -34,6 +34,8 @@ const MIN_SCORE_RATIO_OF_FOUND: f64 = 0.5;
 /// Smallest gain of the exact columns at settings that sketches found, as a share of that of the sketch: means over some samples do not show a link that swings
 /// on a stiff gear faster than that.
 const MIN_EXACT_GAIN_RATIO: f64 = 0.8;
+/// Smallest score with coarse settings, as a share of the best, from which on they are searched finely.
+const MIN_SCORE_RATIO_OF_CONTENDERS: f64 = 0.8;
 /// Resolution of the begin of an effect in a motion that does not repeat \[s\].
 const BEGIN_RESOLUTION_S: f64 = 0.05;
 /// Resolution of a time constant, as a share of it.
@@ -144,21 +146,30 @@ impl Search<'_> {
         let (done, of) = (AtomicUsize::new(0), starts.len());
         let tried = parallel(&starts, threads, |start| {
             let item = self.rebuilt(start);
-            let item = if searched(start) { self.refined(state, item) } else { item };
+            let item = if searched(start) { self.searched(state, item, search::COARSE) } else { item };
             let scored = self.score(state, &item);
             progress(Progress::Candidates { done: done.fetch_add(1, Ordering::Relaxed) + 1, of });
             (item, scored)
         });
         let mut tried = tried.into_iter();
-        let (mut scored, mut found): (Vec<Scored>, Vec<Candidate>) = (Vec::new(), Vec::new());
+        let (mut scored, mut implausible): (Vec<Scored>, Vec<Candidate>) = (Vec::new(), Vec::new());
         for starts in &short {
             let (items, own): (Vec<_>, Vec<_>) = tried.by_ref().take(starts.len()).unzip();
-            let best = own.into_iter().flatten().max_by(|a, b| a.score.total_cmp(&b.score));
-            // What is not plausible at any maximum is not searched from all starts again either.
-            found.extend(best.as_ref().map(|best| best.item.clone()).or(items.into_iter().next()));
-            scored.extend(best);
+            match own.into_iter().flatten().max_by(|a, b| a.score.total_cmp(&b.score)) {
+                Some(best) => scored.push(best),
+                None => implausible.extend(items.into_iter().next()),
+            }
         }
-        for item in found.into_iter().filter(|item| item.spec.settings.len() > 1) {
+        let least = MIN_SCORE_RATIO_OF_CONTENDERS * scored.iter().map(|one| one.score).fold(0.0, f64::max);
+        let mut scored = parallel(&scored, threads, |one| {
+            let contends = one.item.spec.settings.len() > 1 && one.score > least;
+            let finely = || self.score(state, &self.searched(state, one.item.clone(), search::FINE));
+            let better = contends.then(finely).flatten().filter(|fine| fine.score > one.score);
+            better.unwrap_or_else(|| one.clone())
+        });
+        // What is not plausible at any maximum is not searched from all starts again either.
+        let found = scored.iter().map(|one| one.item.clone()).chain(implausible);
+        for item in found.filter(|item| item.spec.settings.len() > 1) {
             refined.retain(|other| !other.alike(&item));
             refined.push(item);
         }
@@ -179,6 +190,10 @@ impl Search<'_> {
 
     /// A candidate with its settings at the nearest maximum of the likelihood.
     pub fn refined(&self, state: &State, item: Candidate) -> Candidate {
+        self.searched(state, item, search::FINE)
+    }
+
+    fn searched(&self, state: &State, item: Candidate, settled: Settled) -> Candidate {
         let form = item.spec.form();
         let Some(form) = form.filter(|form| !form.settings.is_empty()) else { return item };
         let gain = |item: &Candidate| {
@@ -204,12 +219,12 @@ impl Search<'_> {
         if form.settings.len() > 1 && highest < MIN_START_GAIN_RATIO * self.penalty(&item) {
             return item;
         }
-        let found = search::largest(&start, &steps, &at);
+        let found = search::largest(&start, &steps, settled, &at);
         // A sketch is approximate: the found settings are evaluated exactly.
         let exactly = |shares: &[f64]| Candidate::of(self.evidence(), self.operating_point, spec_at(shares), item.span);
         let exact = |shares: &[f64]| exactly(shares).map_or(f64::NEG_INFINITY, |item| gain(&item));
         let misled = exact(&found) < MIN_EXACT_GAIN_RATIO * at(&found);
-        let found = if misled { search::largest(&found, &steps, &exact) } else { found };
+        let found = if misled { search::largest(&found, &steps, settled, &exact) } else { found };
         match exactly(&found) {
             Some(found) if gain(&found) > before => found,
             _ => item,
@@ -355,6 +370,9 @@ mod tests {
             let mut propose = || search.proposed(base, swings, &mut refined, &|_| {});
             let (first, second) = (propose(), propose());
             assert!(!first.is_empty() && first.len() == second.len());
+            // The best one is searched finely.
+            let again = search.score(base, &search.refined(base, first[0].item.clone())).unwrap();
+            assert!(again.score < first[0].score + 0.2, "{} then {}", first[0].score, again.score);
             for one in &second {
                 let before = first.iter().find(|other| other.item.alike(&one.item)).unwrap();
                 // A search compares gains at the weights of the state; a score has weights of its own.
@@ -422,7 +440,7 @@ mod tests {
             let steps: Vec<f64> = settings.iter().map(Setting::spacing).collect();
             let at = |shares: &[f64]| mean(spec_at(shares));
             let (beside, _) = search::beside(shares, exact(start.spec.clone()), steps[0], &at);
-            let misleading = search::largest(&beside, &steps, &at);
+            let misleading = search::largest(&beside, &steps, search::FINE, &at);
             let (shown, true_gain) = (mean(spec_at(&misleading)), exact(spec_at(&misleading)));
             assert!(true_gain < 0.8 * shown, "{true_gain} of {shown}");
             let found = exact(search.refined(base, start).spec);

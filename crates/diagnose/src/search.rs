@@ -6,21 +6,32 @@ const PLACES_BESIDE: i32 = 4;
 const MAX_LINE_EVALUATIONS: usize = 12;
 /// and most of [`simplex`].
 const MAX_SIMPLEX_EVALUATIONS: usize = 120;
-/// A simplex has settled where the values of its corners, scores of effects, differ by less than this
-const SETTLED_SCORE: f64 = 0.1;
-/// and none is farther from the best than this.
-const SETTLED_SHARE: f64 = 0.02;
+/// When a simplex has settled.
+#[derive(Clone, Copy)]
+pub struct Settled {
+    /// The values of its corners, scores of effects, differ by less than this,
+    score: f64,
+    /// or than this share of the best,
+    ratio: f64,
+    /// and none is farther from the best than this.
+    share: f64,
+}
+
+/// Where the settings decide.
+pub const FINE: Settled = Settled { score: 0.1, ratio: 0.0, share: 0.02 };
+/// Where it is enough to know which effects come into question.
+pub const COARSE: Settled = Settled { score: 0.1, ratio: 0.02, share: 0.1 };
 /// Sides of the first simplex, as a share of the distance to the next place that a search starts from: what several settings decide together may
 /// be a ridge, narrow against that.
 const SIMPLEX_SIDE_RATIO: f64 = 0.2;
 
 /// Where `at` is largest near `start`, no farther than about `steps`.
-pub fn largest(start: &[f64], steps: &[f64], at: &dyn Fn(&[f64]) -> f64) -> Vec<f64> {
+pub fn largest(start: &[f64], steps: &[f64], settled: Settled, at: &dyn Fn(&[f64]) -> f64) -> Vec<f64> {
     match (start, steps) {
         (&[start], &[step]) => {
             vec![golden((start - step).max(0.0), (start + step).min(1.0), &|x| at(&[x]))]
         }
-        _ => simplex(start, steps, at),
+        _ => simplex(start, steps, settled, at),
     }
 }
 
@@ -55,7 +66,7 @@ fn golden(mut low: f64, mut high: f64, at: &dyn Fn(f64) -> f64) -> f64 {
 }
 
 /// The simplex method of Nelder and Mead (Computer Journal 7, 1965), with corners outside put on the border.
-fn simplex(start: &[f64], steps: &[f64], at: &dyn Fn(&[f64]) -> f64) -> Vec<f64> {
+fn simplex(start: &[f64], steps: &[f64], settled: Settled, at: &dyn Fn(&[f64]) -> f64) -> Vec<f64> {
     let n = start.len();
     let corner = |x: Vec<f64>| {
         let x: Vec<f64> = x.into_iter().map(|x| x.clamp(0.0, 1.0)).collect();
@@ -75,8 +86,9 @@ fn simplex(start: &[f64], steps: &[f64], at: &dyn Fn(&[f64]) -> f64) -> Vec<f64>
     while evaluations < MAX_SIMPLEX_EVALUATIONS {
         corners.sort_by(|a, b| b.0.total_cmp(&a.0));
         let far =
-            |(_, x): &(f64, Vec<f64>)| x.iter().zip(&corners[0].1).any(|(x, best)| (x - best).abs() > SETTLED_SHARE);
-        if corners[0].0 - corners[n].0 < SETTLED_SCORE && !corners.iter().any(far) {
+            |(_, x): &(f64, Vec<f64>)| x.iter().zip(&corners[0].1).any(|(x, best)| (x - best).abs() > settled.share);
+        let level = settled.score.max(settled.ratio * corners[0].0);
+        if corners[0].0 - corners[n].0 < level && !corners.iter().any(far) {
             break;
         }
         let (worst, others) = (corners[n].clone(), &corners[..n]);
@@ -117,9 +129,9 @@ mod tests {
 
     #[test]
     fn a_hill_is_climbed_on_a_line() {
-        let found = largest(&[0.4], &[0.25], &|x| -(x[0] - 0.53).powi(2));
+        let found = largest(&[0.4], &[0.25], FINE, &|x| -(x[0] - 0.53).powi(2));
         assert!((found[0] - 0.53).abs() < 0.01, "{found:?}");
-        let border = largest(&[0.1], &[0.5], &|x| -x[0]);
+        let border = largest(&[0.1], &[0.5], FINE, &|x| -x[0]);
         assert!(border[0] < 0.01, "{border:?}");
     }
 
@@ -146,7 +158,7 @@ mod tests {
             -100.0 * across * across - along * along - (x[2] - 0.8).powi(2)
         };
         let score = |x: &[f64]| 1000.0 * ridge(x);
-        let found = largest(&[0.4, 0.33, 0.0], &[0.5, 0.33, 1.0], &score);
+        let found = largest(&[0.4, 0.33, 0.0], &[0.5, 0.33, 1.0], FINE, &score);
         assert!(ridge(&found) > -1e-3, "{found:?}");
     }
 
@@ -155,13 +167,13 @@ mod tests {
         let count = std::cell::Cell::new(0);
         let hill = |x: &[f64]| {
             count.set(count.get() + 1);
-            -500.0 * x.iter().map(|x| (x - 0.5).powi(2)).sum::<f64>()
+            1000.0 - 500.0 * x.iter().map(|x| (x - 0.5).powi(2)).sum::<f64>()
         };
-        let found = largest(&[0.45, 0.4], &[0.5, 0.5], &hill);
-        assert!(
-            hill(&found) > -2.0 * SETTLED_SCORE && count.get() < MAX_SIMPLEX_EVALUATIONS / 2,
-            "{found:?}, {count:?}"
-        );
+        let lacks = |settled: Settled| 1000.0 - hill(&largest(&[0.45, 0.4], &[0.5, 0.5], settled, &hill));
+        let (fine, evaluations) = (lacks(FINE), count.take());
+        assert!(fine < 2.0 * FINE.score && evaluations < MAX_SIMPLEX_EVALUATIONS / 2, "{fine}, {evaluations}");
+        let (coarse, fewer) = (lacks(COARSE), count.take());
+        assert!(coarse < 2.0 * COARSE.ratio * 1000.0 && 2 * fewer < evaluations, "{coarse}, {fewer} of {evaluations}");
     }
 
     #[test]
@@ -170,7 +182,7 @@ mod tests {
             assert!(x.iter().all(|x| (0.0..=1.0).contains(x)), "{x:?}");
             1000.0 * (x[0] + x[1])
         };
-        let found = largest(&[1.0, 0.9], &[0.5, 0.5], &inside);
+        let found = largest(&[1.0, 0.9], &[0.5, 0.5], FINE, &inside);
         assert!(found[0] + found[1] > 1.95, "{found:?}");
     }
 }

@@ -31,6 +31,8 @@ const SMOOTHING_RATIO: f64 = 1.3;
 const MIN_EXPLAINED_RATIO: f64 = 0.5;
 /// and at least this share where other runs do not have it: of many frequencies slow noise makes a line of one.
 const MIN_EXPLAINED_RATIO_ALONE: f64 = 0.9;
+/// Smallest amplitude over its deviation. Near a harmonic of a motion of two periods much of a line's power may tell little of its amplitude.
+const MIN_DEVIATIONS: f64 = 4.0;
 /// Lines of several runs that are nearer than this are one \[Hz\]. A line of a 100 s recording is known to about a hundredth of it.
 const SAME_LINE_HZ: f64 = 0.03;
 /// Least squares in units of the noise that a known line takes in another run: of six parameters noise alone takes 22 in one of a thousand.
@@ -64,6 +66,11 @@ pub struct BaseMotion {
 }
 
 impl BaseMotion {
+    /// Whether it explains its frequency by an amplitude that is known.
+    fn shows(&self) -> bool {
+        self.explained > MIN_EXPLAINED_RATIO && self.amplitude > MIN_DEVIATIONS * self.std
+    }
+
     /// Whether another one is the same line.
     pub(super) fn is_same_line(&self, other: &BaseMotion) -> bool {
         (self.frequency - other.frequency).abs() < SAME_LINE_HZ
@@ -207,7 +214,7 @@ impl<'a> Line<'a> {
         strong.into_iter().take(MAX_LINES).find_map(|(k, ratio)| {
             let frequency = self.peak(power[k].0, part.width());
             let found = self.fit(frequency)?.report(self.run, part, frequency, ratio)?;
-            (found.explained > MIN_EXPLAINED_RATIO && part.goes_on(frequency)).then_some(found)
+            (found.shows() && part.goes_on(frequency)).then_some(found)
         })
     }
 
@@ -288,5 +295,7 @@ mod tests {
         assert_eq!(kept(&[&weak, &other], 3), vec![weak.clone(), other]);
         assert_eq!(kept(&[&weak, &line("a", 0.61, 0.8)], 3), Vec::new(), "twice in one run");
         assert_eq!(kept(&[&weak], 1), vec![weak.clone()], "no other run could have it");
+        assert!(weak.shows() && !BaseMotion { std: 0.013, ..weak.clone() }.shows(), "an amplitude that is not known");
+        assert!(!BaseMotion { explained: 0.4, ..weak }.shows());
     }
 }

@@ -72,8 +72,8 @@ const COMPLIANCE: Setting = Setting {
     unit: "rad/Nm",
     what: "compliance on which the link swings",
     low: 1e-5,
-    high: 1e-2,
-    steps: 7,
+    high: 3.2e-2,
+    steps: 8,
     scale: Scale::Logarithmic,
 };
 
