@@ -221,12 +221,17 @@ impl Search<'_> {
         }
         let found = search::largest(&start, &steps, settled, &at);
         // A sketch is approximate: the found settings are evaluated exactly.
-        let exactly = |shares: &[f64]| Candidate::of(self.evidence(), self.operating_point, spec_at(shares), item.span);
-        let exact = |shares: &[f64]| exactly(shares).map_or(f64::NEG_INFINITY, |item| gain(&item));
-        let misled = exact(&found) < MIN_EXACT_GAIN_RATIO * at(&found);
-        let found = if misled { search::largest(&found, &steps, settled, &exact) } else { found };
-        match exactly(&found) {
-            Some(found) if gain(&found) > before => found,
+        let exactly = |shares: &[f64]| {
+            let item = Candidate::of(self.evidence(), self.operating_point, spec_at(shares), item.span)?;
+            Some((gain(&item), item))
+        };
+        let gained = |one: &Option<(f64, Candidate)>| one.as_ref().map_or(f64::NEG_INFINITY, |(gain, _)| *gain);
+        let mut exact = exactly(&found);
+        if gained(&exact) < MIN_EXACT_GAIN_RATIO * at(&found) {
+            exact = exactly(&search::largest(&found, &steps, settled, &|shares| gained(&exactly(shares))));
+        }
+        match exact {
+            Some((gain, found)) if gain > before => found,
             _ => item,
         }
     }

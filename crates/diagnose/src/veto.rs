@@ -68,9 +68,9 @@ impl<'a> Deciding<'a> {
     }
 }
 
-/// Removes every effect without which unseen runs are expected no less; if it came within the identified ones or is [clear](super::found::Found::is_clear) there, more by
-/// [`STRONG_GAP`] and [`MIN_REFUTING_RATIO`]: a motion that hardly shows it is expected as well without it, or a little better. Where they are the only unseen
-/// ones the delivery withholds it instead, and the reason is said.
+/// Removes every effect without which unseen runs are expected no less; if it came within the identified ones or is
+/// [clear](super::found::Found::is_clear) there, more by [`STRONG_GAP`] and [`MIN_REFUTING_RATIO`]: a motion that hardly shows it is expected as well without
+/// it, or a little better. Where they are the only unseen ones the delivery withholds it instead, and the reason is said.
 pub fn vetoed(search: &Search, mut selected: Selected, input: &Input, evidence: &Evidence) -> Selected {
     if input.veto.is_empty() || input.judge.is_empty() {
         return selected;
